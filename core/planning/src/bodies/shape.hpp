@@ -80,13 +80,15 @@ class PlacedLimbs {
     Pose pose_;
 };
 
+inline bool may_touch(const Limbs &p, int a, const Limbs &q, int b) {
+    return (p.layers(a) & q.layers(b)) != 0 && !(p.on_alpha(a) && q.on_alpha(b));
+}
+
 // Calls test(a, b, need_mm) for all limbs that can touch, until it is false.
 template <class Test> bool all_limbs(const Limbs &p, const Limbs &q, double need_mm, Test test) {
     for (int a = 0; a < p.size(); ++a)
         for (int b = 0; b < q.size(); ++b)
-            if ((p.layers(a) & q.layers(b)) != 0 && !(p.on_alpha(a) && q.on_alpha(b)) &&
-                !test(a, b, need_mm + p.extra_mm(a) + q.extra_mm(b)))
-                return false;
+            if (may_touch(p, a, q, b) && !test(a, b, need_mm + p.extra_mm(a) + q.extra_mm(b))) return false;
     return true;
 }
 

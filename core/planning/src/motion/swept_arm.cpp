@@ -58,24 +58,39 @@ double relative_displacement(const TwoLines &from, const TwoLines &to) {
 
 namespace {
 
-// The same for two quarters: p and q begin with them. Most are seen to be apart without the border between.
-bool quarters_apart(const TwoLines &from, const TwoLines &to, const Segment *p, const Segment *q,
-                    double need) {
-    if (from.distance_mm < need || to.distance_mm < need) return false;
-    TwoLines border{p[1], q[1]};
-    const double ways = relative_displacement(from, border) + relative_displacement(border, to);
-    if (from.distance_mm + to.distance_mm - ways >= 2.0 * need) return true;
-    border.distance_mm = distance(border.p, border.q);
-    return chords_apart(from, border, need, most_halvings) && chords_apart(border, to, need, most_halvings);
+// Two lines at three borders: in the middle of a step, a quarter and a half of it from there.
+struct HalfStep {
+    TwoLines middle, border, end;
+    double ways_mm() const {
+        return relative_displacement(middle, border) + relative_displacement(border, end);
+    }
+};
+
+// The same for two quarters. Most are seen to be apart without the border between, many by their middle
+// alone.
+bool half_apart(HalfStep half, double need) {
+    const double ways = half.ways_mm();
+    if (half.middle.distance_mm - ways >= need) return true;
+    half.end.distance_mm = distance(half.end.p, half.end.q);
+    if (half.end.distance_mm < need) return false;
+    if (half.middle.distance_mm + half.end.distance_mm - ways >= 2.0 * need) return true;
+    half.border.distance_mm = distance(half.border.p, half.border.q);
+    return chords_apart(half.middle, half.border, need, most_halvings) &&
+           chords_apart(half.border, half.end, need, most_halvings);
+}
+
+// With the distance in the middle of the step.
+bool chords_apart_around(const Segment *p, const Segment *q, double middle_mm, double need) {
+    static_assert(quarters == 4);
+    const TwoLines middle{p[2], q[2], middle_mm};
+    return middle_mm >= need && half_apart({middle, {p[1], q[1]}, {p[0], q[0]}}, need) &&
+           half_apart({middle, {p[3], q[3]}, {p[4], q[4]}}, need);
 }
 
 } // namespace
 
 bool chords_stay_apart(const Segment *p, const Segment *q, double need_mm) {
-    static_assert(quarters == 4);
-    const TwoLines middle = two_lines(p[2], q[2]);
-    return quarters_apart(two_lines(p[0], q[0]), middle, p, q, need_mm) &&
-           quarters_apart(middle, two_lines(p[4], q[4]), p + 2, q + 2, need_mm);
+    return chords_apart_around(p, q, distance(p[2], q[2]), need_mm);
 }
 
 bool chords_ever_apart(const Segment *p, const Segment *q, double need_mm) {
@@ -96,7 +111,9 @@ inline bool bodies_apart(const SweptArm &p, const SweptArm &q, double need_mm, C
     if (near && !shaped) return (p.layers & q.layers) == 0;
     if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
     if (shaped) return limbs_apart(p, q, need_mm, chords_are_apart);
-    return (p.layers & q.layers) == 0 || chords_are_apart(p.at, q.at, need);
+    if ((p.layers & q.layers) == 0) return true;
+    return chords_are_apart == chords_stay_apart ? chords_apart_around(p.at, q.at, mid, need)
+                                                 : chords_are_apart(p.at, q.at, need);
 }
 
 } // namespace

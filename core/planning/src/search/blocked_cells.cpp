@@ -3,6 +3,7 @@
 #include "motion/clones.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 #include <numbers>
@@ -17,6 +18,7 @@ constexpr double margin_rad = 1e-4;
 constexpr int line_bits = 6, line_bins = 1 << (16 - line_bits); // of directions in which lines are looked up
 
 constexpr int at_once = 8;         // cells
+constexpr int at_a_time = 4;       // blocks
 constexpr float nowhere_mm = 1e6f; // where nothing is, for the places beyond the last cell of a line
 
 using Float8 = float __attribute__((vector_size(32)));
@@ -55,35 +57,45 @@ FL_INLINE Int8 directions_of(Float8 x, Float8 y) {
     return __builtin_convertvector(angle * single(parts_per_rad) + 65536.5f, Int8);
 }
 // Bit k where the lane k of the mask is set.
-FL_INLINE CellBits bits_of(Int8 mask) {
+FL_INLINE std::uint64_t bits_of(Int8 mask) {
     mask &= Int8{1, 2, 4, 8, 16, 32, 64, 128};
-    CellBits two[4];
+    std::uint64_t two[4];
     std::memcpy(two, &mask, sizeof two);
-    const CellBits some = (two[0] | two[1]) | (two[2] | two[3]);
+    const std::uint64_t some = (two[0] | two[1]) | (two[2] | two[3]);
     return (some | some >> 32) & 0xff;
 }
 
 } // namespace
 
-int &BlockedCells::begin_of(int slot, const Robot &neighbour, Cell at) {
-    if (slot >= begins_.size()) begins_.resize(slot + 1);
-    auto &of_neighbour = begins_[slot];
+BlockedCells::Kept &BlockedCells::kept(int slot, const Robot &neighbour, Cell at) {
+    if (slot >= kept_.size()) kept_.resize(slot + 1);
+    auto &of_neighbour = kept_[slot];
     if (of_neighbour.empty()) of_neighbour.resize(neighbour.alpha().size());
     auto &on_line = of_neighbour[at.alpha];
-    if (on_line.empty()) on_line.assign(neighbour.beta().size(), -1);
+    if (on_line.empty()) on_line.resize(neighbour.beta().size());
     return on_line[at.beta];
 }
 
-const CellBits *BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
-                                 TouchTables &tables) {
-    int &begin = begin_of(slot, neighbour, at);
-    if (begin < 0) {
-        begin = bits_.size();
-        bits_.resize(begin + words(me), 0);
-        CellBits *out = bits_.data() + begin;
-        if (!look_up(me, neighbour, at, need_mm, tables, out)) look_all(me, neighbour, at, need_mm, out);
+BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
+                              TouchTables &tables) {
+    Kept &known = kept(slot, neighbour, at);
+    if (known.begin < 0) {
+        look_.assign((me.beta().size() + 1) * blocks_per_line(me), 0);
+        if (!look_up(me, neighbour, at, need_mm, tables)) look_all(me, neighbour, at, need_mm);
+        known = keep(me);
     }
-    return bits_.data() + begin;
+    return {known.first, known.end, blocks_.data() + known.begin};
+}
+
+// The lines of the last look that have any, from the first to the last one.
+BlockedCells::Kept BlockedCells::keep(const Robot &me) {
+    const int width = blocks_per_line(me), begin = blocks_.size();
+    int first = 0, end = me.beta().size() * width;
+    while (first < end && look_[first] == 0) ++first;
+    while (first < end && look_[end - 1] == 0) --end;
+    first /= width, end = (end + width - 1) / width;
+    blocks_.insert(blocks_.end(), look_.begin() + first * width, look_.begin() + end * width);
+    return {begin, static_cast<std::int16_t>(first), static_cast<std::int16_t>(end)};
 }
 
 void BlockedCells::lay_out_elbows(const Robot &me) {
@@ -101,13 +113,13 @@ void BlockedCells::lay_out_elbows(const Robot &me) {
     for (int bin = 0; bin <= line_bins; ++bin) {
         const double from_rad = me.beta().angle(0) + (bin << line_bits) / parts_per_rad;
         while (line < me.beta().size() && me.beta().angle(line) < from_rad - margin_rad) ++line;
-        elbows_.line_at.push_back(line);
+        elbows_.begin_at.push_back(line * blocks_per_line(me));
     }
 }
 
 // False if there is no table for the two.
 bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm,
-                           TouchTables &tables, CellBits *out) {
+                           TouchTables &tables) {
     const double turn = me.beta().angle(me.beta().size() - 1) - me.beta().angle(0);
     if (!me.from_elbow() || !neighbour.from_elbow() || turn > 2.0 * pi - margin_rad) return false;
     const TouchTable *table =
@@ -115,48 +127,66 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
     if (table == nullptr) return false;
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
-    const int width = words_per_line(me);
-    borders_.assign(words(me) + width, 0);
-    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), width, borders_.data());
-    // a cell is as the one on the line below unless there is a border between them
-    for (int k = 0; k < words(me); ++k) out[k] = borders_[k] ^ (k < width ? 0 : out[k - width]);
+    mark(*table, there.a - me.centre(), direction_of(there.b - there.a), look_.data());
+    fill(me);
     return true;
+}
+
+// A cell is as the one on the line below unless there is a border between them.
+void BlockedCells::fill(const Robot &me) {
+    const int width = blocks_per_line(me);
+    CellBlock *const begin = look_.data(), *const end = begin + me.beta().size() * width;
+    CellBlock *first = begin; // with a border
+    while (first < end && *first == 0) ++first;
+    if (width < at_a_time) {
+        for (CellBlock *here = first + width; here < end; ++here) *here ^= *(here - width);
+        return;
+    }
+    // there is a line beyond the end, longer than what is done at a time
+    for (CellBlock *here = first + width; here < end; here += at_a_time) {
+        std::uint64_t below, word;
+        std::memcpy(&below, here - width, sizeof below);
+        std::memcpy(&word, here, sizeof word);
+        word ^= below;
+        std::memcpy(here, &word, sizeof word);
+    }
 }
 
 // Of the cells that touch an arm with its elbow at a place, from the centre: sets the bits of those that do
 // where the one on the line below does not, or the other way round.
-FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words,
-                                  CellBits *out) const {
+FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart direction,
+                                  CellBlock *out) const {
     const float reach = table.squared_reach_mm2();
     for (int first = 0; first < elbows_.direction.size(); first += at_once) {
         const Float8 x = single(elbow.x) - load(&elbows_.x[first]),
                      y = single(elbow.y) - load(&elbows_.y[first]);
         const Float8 squared = x * x + y * y;
-        if (bits_of(squared < all(reach)) == 0) continue;
+        std::uint64_t near = bits_of(squared < all(reach));
+        if (near == 0) continue;
         const Int8 bearings = directions_of(x, y);
-        for (int k = 0; k < at_once; ++k) {
-            if (squared[k] >= reach) continue;
+        for (; near != 0; near &= near - 1) {
+            const int k = std::countr_zero(near);
             const int alpha = first + k;
             const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
             Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
             d.first = static_cast<TurnPart>(d.first + bearing - elbows_.direction[alpha]);
-            if (d.width > 0) mark_borders(alpha, d, words, out);
+            if (d.width > 0) mark_borders(alpha, d, out);
         }
     }
 }
 
 // Directions are those above the first line of beta.
-FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, int words, CellBits *out) const {
-    const auto &line_at = elbows_.line_at;
-    const CellBits bit = CellBits{1} << alpha % bits;
-    CellBits *column = out + alpha / bits;
+FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, CellBlock *out) const {
+    const int *begin_at = elbows_.begin_at.data();
+    const CellBlock bit = static_cast<CellBlock>(1 << alpha % block);
+    CellBlock *column = out + alpha / block;
     const int end = d.first + d.width, wrapped = end - 65536; // beyond a whole turn lines begin anew
-    const int first = line_at[d.first >> line_bits];
-    column[first * words] ^= bit;
-    column[line_at[std::min(end >> line_bits, line_bins - 1) + 1] * words] ^= bit;
+    const int first = begin_at[d.first >> line_bits];
+    column[first] ^= bit;
+    column[begin_at[std::min(end >> line_bits, line_bins - 1) + 1]] ^= bit;
     if (wrapped < 0) return;
     column[0] ^= bit;
-    column[std::min(line_at[(wrapped >> line_bits) + 1], first) * words] ^= bit;
+    column[std::min(begin_at[(wrapped >> line_bits) + 1], first)] ^= bit;
 }
 
 // A line that those of cells may touch; these are all of one length.
@@ -212,10 +242,11 @@ void BlockedCells::lay_out(const Robot &me) {
         lines_.push_back(laid_out(me, &me.shape()->limbs[k]));
 }
 
-// limb: none of a body without a shape.
+// limb: none of a body without a shape. One on the alpha arm is at the same places on all lines of beta.
 BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) const {
     Lines lines;
-    for (int beta = 0; beta < me.beta().size(); ++beta) {
+    const int different = limb != nullptr && limb->on_alpha ? 1 : me.beta().size();
+    for (int beta = 0; beta < different; ++beta) {
         Line line;
         for (int alpha = 0; alpha < me.alpha().size(); ++alpha) {
             const Segment arm = me.line({alpha, beta});
@@ -238,34 +269,42 @@ BlockedCells::Lines BlockedCells::laid_out(const Robot &me, const Limb *limb) co
 }
 
 // Every limb of the one with every limb of the other.
-void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out) {
+void BlockedCells::look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm) {
     if (lines_.empty()) lay_out(me);
     const Limbs mine(me.limbs()), theirs(neighbour.limbs());
     const Segment there = neighbour.line(at);
-    all_limbs(mine, theirs, need_mm, [&](int a, int b, double need) {
+    double widest_mm = 0.0;
+    for (int a = 0; a < mine.size(); ++a) widest_mm = std::max(widest_mm, mine.extra_mm(a));
+    on_alpha_.assign(blocks_per_line(me), 0);
+    for (int b = 0; b < theirs.size(); ++b) {
         const Segment line = theirs.at(b, there);
-        look(lines_[a], words_per_line(me), {line.a - me.centre(), line.b - me.centre()}, need, out);
-        return true;
-    });
+        const double need = need_mm + theirs.extra_mm(b);
+        const Seen seen({line.a - me.centre(), line.b - me.centre()}, need + widest_mm);
+        for (int a = 0; a < mine.size(); ++a)
+            if (may_touch(mine, a, theirs, b))
+                look(lines_[a], blocks_per_line(me), seen, need + mine.extra_mm(a),
+                     mine.on_alpha(a) ? on_alpha_.data() : look_.data());
+    }
+    for (int k = 0; k < me.beta().size() * blocks_per_line(me); ++k)
+        look_[k] |= on_alpha_[k % on_alpha_.size()];
 }
 
 // Sets the bits of the cells that touch a line; looks only where both are seen in the same direction from
 // the centre.
-FL_CLONES void BlockedCells::look(const Lines &lines, int words, const Segment &line, double need_mm,
-                                  CellBits *out) {
-    const double away = distance(line, {});
-    const Sector there = sector(line, need_mm);
-    const Other other(line, lines.front(), need_mm);
-    for (int beta = 0; beta < lines.size(); ++beta, out += words) {
+FL_CLONES void BlockedCells::look(const Lines &lines, int blocks, const Seen &seen, double need_mm,
+                                  CellBlock *out) {
+    const Sector &there = seen.sector;
+    const Other other(seen.line, lines.front(), need_mm);
+    for (int beta = 0; beta < lines.size(); ++beta, out += blocks) {
         const Line &cells = lines[beta];
-        if (away >= cells.far_mm + need_mm) continue;
+        if (seen.away_mm >= cells.far_mm + need_mm) continue;
         const double middle = wrapped(there.middle_rad - cells.first.middle_rad);
         const double half = cells.first.half_rad + there.half_rad;
         for (int group = 0; group < groups_.size(); ++group) {
             const Sector &here = groups_[group];
             if (std::abs(wrapped(here.middle_rad - middle)) > here.half_rad + half) continue;
             const int k = group * at_once;
-            out[k / bits] |= bits_of(other.touches(cells, k)) << k % bits;
+            out[k / block] |= static_cast<CellBlock>(bits_of(other.touches(cells, k)) << k % block);
         }
     }
 }

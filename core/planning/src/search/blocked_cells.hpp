@@ -9,23 +9,35 @@
 
 namespace fl::planning {
 
-// A bit for each cell of a robot, line by line of beta; each line begins with a word of its own.
-using CellBits = std::uint64_t;
+// A bit for each of sixteen cells of a line of beta; each line begins with a block of its own.
+using CellBlock = std::uint16_t;
+
+// The cells of lines first .. end - 1, as many blocks for each line as it has; those of all others are free.
+struct BlockedLines {
+    int first = 0, end = 0;
+    const CellBlock *bits = nullptr;
+};
 
 class BlockedCells {
   public:
-    static constexpr int bits = 64;
+    static constexpr int block = 16; // cells
 
-    static int words_per_line(const Robot &robot) { return (robot.alpha().size() + bits - 1) / bits; }
-    static int words(const Robot &robot) { return robot.beta().size() * words_per_line(robot); }
+    static int blocks_per_line(const Robot &robot) { return (robot.alpha().size() + block - 1) / block; }
 
     // The cells of `me`, always the same, less than need_mm beyond both extra radii from `neighbour`, the one
     // at place `slot` among its neighbours, when that is at a cell. Of plain arms as precise as the table,
     // of others as single precision. Valid until the next call.
-    const CellBits *by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
-                       TouchTables &tables);
+    BlockedLines by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
+                    TouchTables &tables);
 
   private:
+    // What is kept of a place of a neighbour.
+    struct Kept {
+        int begin = -1; // in blocks_; -1: not looked at
+        std::int16_t first = 0, end = 0;
+    };
+    Kept keep(const Robot &me);
+    void fill(const Robot &me);
     // Directions from the centre of the robot.
     struct Sector {
         double middle_rad = 0.0, half_rad = 0.0;
@@ -38,32 +50,42 @@ class BlockedCells {
     };
 
     static Sector sector(Segment line, double around_mm);
+    // A line that cells may touch, seen from the centre, with all that is so near to it.
+    struct Seen {
+        Seen(const Segment &at, double around_mm)
+            : line(at), away_mm(distance(at, {})), sector(BlockedCells::sector(at, around_mm)) {}
+        Segment line;
+        double away_mm;
+        Sector sector;
+    };
     using Lines = List<Line>; // of a limb
     void lay_out(const Robot &me);
     Lines laid_out(const Robot &me, const Limb *limb) const;
-    void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm, CellBits *out);
-    void look(const Lines &lines, int words, const Segment &line, double need_mm, CellBits *out);
+    void look_all(const Robot &me, const Robot &neighbour, Cell at, double need_mm);
+    void look(const Lines &lines, int blocks, const Seen &seen, double need_mm, CellBlock *out);
     struct Other;
 
     // Plain arms, whose directions tell where they touch.
     struct Elbows {
         List<float> x, y;         // at each line of alpha, from the centre, mm
         List<TurnPart> direction; // of the arm there, at the first line of beta
-        List<int> line_at; // the first line of beta at so many parts of a turn above the first, or more
+        // Where the first line of beta begins in a look that is at so many parts of a turn above the first,
+        // or more.
+        List<int> begin_at;
     };
     void lay_out_elbows(const Robot &me);
-    bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables,
-                 CellBits *out);
-    void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, int words, CellBits *out) const;
-    void mark_borders(int alpha, Directions directions, int words, CellBits *out) const;
+    bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables);
+    void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, CellBlock *out) const;
+    void mark_borders(int alpha, Directions directions, CellBlock *out) const;
 
-    int &begin_of(int slot, const Robot &neighbour, Cell at);
+    Kept &kept(int slot, const Robot &neighbour, Cell at);
 
-    // For each neighbour, line of alpha and line of beta of it: where its bits begin; -1: not looked at.
-    // Lines of alpha on which it has never been are empty.
-    List<List<List<int>>> begins_;
-    List<CellBits> bits_;
-    List<CellBits> borders_; // of one look
+    // For each neighbour, line of alpha and line of beta of it. Lines of alpha on which it has never been are
+    // empty.
+    List<List<List<Kept>>> kept_;
+    List<CellBlock> blocks_;
+    List<CellBlock> look_;     // one look, and a line beyond the last one
+    List<CellBlock> on_alpha_; // of one look: a line of cells in which limbs on the alpha arm touch
     Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape
     List<Sector> groups_; // of cells that are looked at at once: their alpha, from that of the first line

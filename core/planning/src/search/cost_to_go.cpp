@@ -3,7 +3,6 @@
 #include "motion/clones.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cstring>
 
 namespace fl::planning {
@@ -11,18 +10,8 @@ namespace {
 
 using Cost = CostToGo::Cost;
 
-// The bits of eight cells as masks: all ones where the bit is set.
-constexpr std::size_t at_once = 8;
-using Eight = std::array<Cost, at_once>;
-constexpr auto masks = [] {
-    std::array<Eight, 1 << at_once> out{};
-    for (std::size_t bits = 0; bits < out.size(); ++bits)
-        for (std::size_t k = 0; k < at_once; ++k) out[bits][k] = static_cast<Cost>(bits >> k & 1 ? -1 : 0);
-    return out;
-}();
-
 using Cost16 = Cost __attribute__((vector_size(32)));
-constexpr int lanes = 16;
+constexpr int lanes = BlockedCells::block;
 
 FL_INLINE Cost16 load(const Cost *p) {
     Cost16 v;
@@ -31,19 +20,33 @@ FL_INLINE Cost16 load(const Cost *p) {
 }
 FL_INLINE void store(Cost *p, Cost16 v) { std::memcpy(p, &v, sizeof v); }
 FL_INLINE Cost16 lower(Cost16 a, Cost16 b) { return a < b ? a : b; }
-FL_INLINE Cost16 cheapest_beside(const Cost *next) { return lower(load(next - 1), load(next + 1)); }
+FL_INLINE Cost16 higher(Cost16 a, Cost16 b) { return a < b ? b : a; }
 
 Cost lower(Cost a, Cost b) { return a < b ? a : b; }
 Cost plus(Cost a, int b) { return static_cast<Cost>(std::min<int>(a + b, CostToGo::none)); }
 
-// What an encounter costs, where the mask is set; no more than none. The compiler makes one instruction of
-// it.
-void add(Eight &cells, const Eight &mask, Cost encounter) {
-    const Cost highest = static_cast<Cost>(CostToGo::none - encounter);
-    for (std::size_t k = 0; k < at_once; ++k) {
-        const Cost with = static_cast<Cost>(lower(cells[k], highest) + encounter);
-        cells[k] = static_cast<Cost>((with & mask[k]) | (cells[k] & ~mask[k]));
-    }
+// The bits of sixteen cells as masks: all ones where the bit is set.
+FL_INLINE Cost16 mask_of(CellBlock bits) {
+    constexpr Cost last = static_cast<Cost>(1 << 15);
+    constexpr Cost16 of_lane{1,      1 << 1, 1 << 2,  1 << 3,  1 << 4,  1 << 5,  1 << 6,  1 << 7,
+                             1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, last};
+    return ((Cost16{} + static_cast<Cost>(bits)) & of_lane) != Cost16{};
+}
+
+// What a step from the cells of a line costs, without what it costs to leave them: to stay on the line and
+// move, and from a line beside it.
+struct Towards {
+    Cost16 here, beside, across;
+};
+FL_INLINE Towards towards(const Cost *next, Cost move) {
+    const Cost16 here = load(next), beside = lower(load(next - 1), load(next + 1));
+    return {here, beside, lower(here, beside + move)};
+}
+
+// With an encounter where the bits are set; no more than none.
+FL_INLINE Cost16 with_encounter(Cost16 cost, CellBlock bits, Cost encounter) {
+    const Cost16 more = mask_of(bits) & (Cost16{} + encounter);
+    return lower(cost, CostToGo::none - more) + more;
 }
 
 } // namespace
@@ -52,32 +55,36 @@ void CostToGo::begin(const Request &request) {
     ask_ = request;
     alphas_ = request.robot->alpha().size();
     betas_ = request.robot->beta().size();
-    blocks_ = (alphas_ + lanes - 1) / lanes;
+    blocks_ = BlockedCells::blocks_per_line(*request.robot);
     pitch_ = blocks_ * lanes + 2;
-    words_per_line_ = BlockedCells::words_per_line(*request.robot);
     for (Blocked &blocked : blocked_) blocked.cost = 0;
-    costs_.resize((request.steps + 1) * (betas_ + 2) * pitch_ + lanes);
-    across_.assign((betas_ + 2) * pitch_ + lanes, none);
+    boxes_.clear();
+    for (int step = 0; step <= ask_.steps; ++step) boxes_.push_back(box_at(step));
+    const int size = (request.steps + 1) * (betas_ + 2) * pitch_ + lanes;
+    if (costs_.size() < size) costs_.resize(size);
+    beyond_.assign(blocks_ * lanes, none);
+    std::fill(beyond_.begin(), beyond_.begin() + alphas_, Cost{0});
 }
 
-void CostToGo::block(int step, const CellBits *cells, int cost) {
+// Those of the box alone are looked at.
+void CostToGo::block(int step, const BlockedLines &cells, int cost) {
+    const int first = std::max(cells.first, boxes_[step].first_beta);
+    const int end = std::min(cells.end, boxes_[step].end_beta);
+    if (first >= end) return;
     Blocked &blocked = blocked_[blocked_[0].cost == 0 || blocked_[0].cost == cost ? 0 : 1];
-    if (blocked.cost == 0) blocked.bits.assign((ask_.steps + 1) * words(), 0);
+    if (blocked.cost == 0) blocked.bits.assign((ask_.steps + 1) * betas_ * blocks_, 0);
     blocked.cost = cost;
-    CellBits *out = blocked.bits.data() + step * words();
-    for (int k = 0; k < words(); ++k) out[k] |= cells[k];
+    const CellBlock *from = cells.bits + (first - cells.first) * blocks_;
+    CellBlock *out = blocked.bits.data() + word(first, 0, step);
+    for (int k = 0; k < (end - first) * blocks_; ++k) out[k] |= from[k];
 }
 
 void CostToGo::find() {
     for (int step = ask_.steps; step >= ask_.hold; --step) {
-        const Box box = box_at(step);
-        forget(step, box);
         if (step >= ask_.last_step)
             rest(step);
         else
-            step_back(step, box);
-        for (const Blocked &blocked : blocked_)
-            if (blocked.cost > 0) add_encounters(step, box, blocked);
+            step_back(step, boxes_[step]);
     }
 }
 
@@ -93,54 +100,76 @@ CostToGo::Box CostToGo::box_at(int step) const {
             low(p.beta, q.beta), high(p.beta, q.beta, betas_)};
 }
 
-// Nothing is known of the cells of a step, and of those around them that are looked at from the step before.
-void CostToGo::forget(int step, const Box &box) {
-    const int first = std::max(box.first_beta - 2, -1), last = std::min(box.end_beta + 1, betas_);
-    std::fill(line(first, step) - 1, line(last, step) - 1 + pitch_, none);
+// Of a step before the last cell is come to for good: all cells from which it may be looked at.
+void CostToGo::forget_lines(int step, int first, int end) {
+    first = std::max(first, -1), end = std::min(end, betas_ + 1);
+    if (first < end) std::fill(line(first, step) - 1, line(end - 1, step) - 1 + pitch_, none);
+}
+
+// Nothing is known of the cells around a box that are looked at from the step before: two lines beside it,
+// and a block and a cell.
+FL_CLONES void CostToGo::forget_around(int step, const Box &box) {
+    forget_lines(step, box.first_beta - 2, box.first_beta);
+    forget_lines(step, box.end_beta, box.end_beta + 2);
+    const int before = std::max((box.first_block - 1) * lanes, 0), after = box.end_block * lanes;
+    for (int beta = box.first_beta; beta < box.end_beta; ++beta) {
+        Cost *out = line(beta, step);
+        out[before - 1] = none;
+        if (box.first_block > 0) store(out + before, Cost16{} + none);
+        if (box.end_block < blocks_) store(out + after, Cost16{} + none);
+        out[std::min(after + lanes, blocks_ * lanes)] = none;
+    }
 }
 
 // At the last cell, for good.
-void CostToGo::rest(int step) { at_last(step) = step == ask_.steps ? Cost{0} : at_last(step + 1); }
+void CostToGo::rest(int step) {
+    forget_lines(step, ask_.last.beta - 2, ask_.last.beta + 3);
+    at_last(step) = with_encounters(step == ask_.steps ? Cost{0} : at_last(step + 1), step);
+}
 
 // By one move from each cell to the next step.
 FL_CLONES void CostToGo::step_back(int step, const Box &box) {
-    const Cost move = static_cast<Cost>(ask_.move), wait = static_cast<Cost>(ask_.wait);
-    for (int beta = box.first_beta - 1; beta <= box.end_beta; ++beta) {
-        if (beta < 0 || beta >= betas_) continue;
-        const Cost *next = line(beta, step + 1);
-        Cost *across = across_.data() + place(beta, 0);
-        for (int a = box.first_block * lanes; a < box.end_block * lanes; a += lanes)
-            store(across + a, lower(load(next + a), cheapest_beside(next + a) + move));
-    }
-    for (int beta = box.first_beta; beta < box.end_beta; ++beta) {
-        const Cost *next = line(beta, step + 1);
-        const Cost *above = across_.data() + place(beta + 1, 0), *below = across_.data() + place(beta - 1, 0);
-        Cost *out = line(beta, step);
-        const Cost moved = static_cast<Cost>(move + dear(beta)),
-                   waited = static_cast<Cost>(wait + dear(beta));
-        for (int a = box.first_block * lanes; a < box.end_block * lanes; a += lanes) {
-            const Cost16 other = lower(cheapest_beside(next + a), lower(load(below + a), load(above + a)));
-            const Cost16 best = lower(other + moved, load(next + a) + waited);
-            store(out + a, lower(best, Cost16{} + none));
-        }
-        std::fill(out + alphas_, out + blocks_ * lanes, none);
-    }
-    at_last(step) = lower(at_last(step), plus(at_last(step + 1), dear(ask_.last.beta)));
+    forget_around(step, box);
+    for (int block = box.first_block; block < box.end_block; ++block) column_back(step, block, box);
+    if (!box.holds(ask_.last.beta, ask_.last.alpha / lanes)) return;
+    const Cost stays = plus(at_last(step + 1), dear(ask_.last.beta));
+    at_last(step) = lower(at_last(step), with_encounters(stays, step));
 }
 
-void CostToGo::add_encounters(int step, const Box &box, const Blocked &blocked) {
-    const Cost encounter = static_cast<Cost>(std::min<int>(blocked.cost, most_encounter));
-    const CellBits *bits = blocked.bits.data() + step * words() + box.first_beta * words_per_line_;
-    for (int beta = box.first_beta; beta < box.end_beta; ++beta)
-        for (int w = 0; w < words_per_line_; ++w) {
-            Cost *costs = line(beta, step) + w * BlockedCells::bits;
-            for (CellBits hit = *bits++; hit != 0; hit >>= at_once, costs += at_once) {
-                Eight cells;
-                std::copy_n(costs, at_once, cells.begin());
-                add(cells, masks[hit % masks.size()], encounter);
-                std::copy_n(cells.begin(), at_once, costs);
-            }
-        }
+// Of one block of each line, from line to line. All that is read is in local variables: what is stored could
+// be part of any member.
+FL_INLINE void CostToGo::column_back(int step, int block, const Box &box) {
+    const Cost move = static_cast<Cost>(ask_.move), wait = static_cast<Cost>(ask_.wait);
+    const int pitch = pitch_, blocks = blocks_, lines = box.end_beta - box.first_beta;
+    const Cost *next = line(box.first_beta, step + 1) + block * lanes;
+    Cost *out = line(box.first_beta, step) + block * lanes;
+    const int *dear_line = ask_.beta->empty() ? nullptr : ask_.beta->data() + box.first_beta;
+    const Encounters first = encounters(blocked_[0], box.first_beta, block, step);
+    const Encounters second = encounters(blocked_[1], box.first_beta, block, step);
+    const Cost16 no_cell = load(beyond_.data() + block * lanes), highest = Cost16{} + none;
+    Towards below = towards(next - pitch, move), same = towards(next, move);
+    for (int k = 0; k < lines; ++k, out += pitch) {
+        next += pitch;
+        const Towards above = towards(next, move);
+        const Cost16 other = lower(same.beside, lower(below.across, above.across)) + move;
+        Cost16 best = lower(other, same.here + wait);
+        if (dear_line != nullptr) best += static_cast<Cost>(dear_line[k]);
+        best = higher(lower(best, highest), no_cell);
+        if (first.bits != nullptr) best = with_encounter(best, first.bits[k * blocks], first.cost);
+        if (second.bits != nullptr) best = with_encounter(best, second.bits[k * blocks], second.cost);
+        store(out, best);
+        below = same;
+        same = above;
+    }
+}
+
+// Of the last cell.
+Cost CostToGo::with_encounters(Cost cost, int step) const {
+    const int block = ask_.last.alpha / lanes, lane = ask_.last.alpha % lanes;
+    for (const Blocked &blocked : blocked_)
+        if (blocked.cost > 0 && (blocked.bits[word(ask_.last.beta, block, step)] >> lane & 1) != 0)
+            cost = plus(cost, blocked.encounter());
+    return cost;
 }
 
 } // namespace fl::planning

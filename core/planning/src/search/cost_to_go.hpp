@@ -7,6 +7,8 @@
 
 #include "search/blocked_cells.hpp"
 
+#include <algorithm>
+
 namespace fl::planning {
 
 class CostToGo {
@@ -30,43 +32,71 @@ class CostToGo {
     void begin(const Request &request);
     // Adds cells in which there is an encounter at a step. Of all calls since `begin`, `cost` has two values
     // at most; a cell that is added for both costs their sum.
-    void block(int step, const CellBits *cells, int cost);
+    void block(int step, const BlockedLines &cells, int cost);
     void find();
 
     // Of a cell that can be come to by then, and from which the last cell can be come to in time.
     int from(Cell c, int step) const { return line(c.beta, step)[c.alpha]; }
+    // The same of the cells around one: of that which is so many lines away.
+    class Around {
+      public:
+        Around() = default;
+        Around(const Cost *here, int pitch) : here_(here), pitch_(pitch) {}
+        int from(int alphas, int betas) const { return here_[betas * pitch_ + alphas]; }
+
+      private:
+        const Cost *here_ = nullptr;
+        int pitch_ = 0;
+    };
+    Around around(Cell c, int step) const { return {line(c.beta, step) + c.alpha, pitch_}; }
     int total() const { return from(ask_.first, ask_.hold); }
 
   private:
     struct Blocked {
-        int cost = 0;        // as it was asked for; 0: not in use
-        List<CellBits> bits; // of each step
+        int cost = 0;         // as it was asked for; 0: not in use
+        List<CellBlock> bits; // of each step
+        Cost encounter() const { return static_cast<Cost>(std::min<int>(cost, most_encounter)); }
+    };
+    // From a block of a line on, at a step; no bits: none.
+    struct Encounters {
+        const CellBlock *bits = nullptr;
+        Cost cost = 0;
+    };
+    Encounters encounters(const Blocked &blocked, int beta, int block, int step) const {
+        if (blocked.cost <= 0) return {};
+        return {blocked.bits.data() + word(beta, block, step), blocked.encounter()};
+    }
+    // Lines of beta, and blocks of cells in them; the ends are not part of it.
+    struct Box {
+        int first_block, end_block, first_beta, end_beta;
+        bool holds(int beta, int block) const {
+            return beta >= first_beta && beta < end_beta && block >= first_block && block < end_block;
+        }
     };
 
-    int words() const { return betas_ * words_per_line_; }
     // The costs of a line of cells, filled up to whole blocks; one beyond each of its ends, and the lines
     // beside the first and the last, can be read: none.
     int place(int beta, int step) const { return (step * (betas_ + 2) + beta + 1) * pitch_ + 1; }
     Cost *line(int beta, int step) { return costs_.data() + place(beta, step); }
     const Cost *line(int beta, int step) const { return costs_.data() + place(beta, step); }
     Cost &at_last(int step) { return line(ask_.last.beta, step)[ask_.last.alpha]; }
+    int word(int beta, int block, int step) const { return (step * betas_ + beta) * blocks_ + block; }
     int dear(int beta) const { return ask_.beta->empty() ? 0 : (*ask_.beta)[beta]; }
 
-    // Lines of beta, and blocks of cells in them; the ends are not part of it.
-    struct Box {
-        int first_block, end_block, first_beta, end_beta;
-    };
     Box box_at(int step) const;
-    void forget(int step, const Box &box);
+    void forget_lines(int step, int first, int end);
+    void forget_around(int step, const Box &box);
     void rest(int step);
     void step_back(int step, const Box &box);
-    void add_encounters(int step, const Box &box, const Blocked &blocked);
+    void column_back(int step, int block, const Box &box);
+    Cost with_encounters(Cost cost, int step) const;
 
     Request ask_;
-    int alphas_ = 0, betas_ = 0, blocks_ = 0, pitch_ = 0, words_per_line_ = 0;
+    int alphas_ = 0, betas_ = 0, blocks_ = 0, pitch_ = 0;
     Blocked blocked_[2];
+    List<Box> boxes_;   // of each step
     List<Cost> costs_;  // of each step
-    List<Cost> across_; // of a step: the cheapest of three neighbours in alpha
+    List<Cost> beyond_; // none where a line has no cell, 0 where it has
 };
 
 } // namespace fl::planning

@@ -43,9 +43,7 @@ int JointSearch::encounters(int which, const SweptArm &step, int when) const {
         0.5 * length(mid.b - mid.a) + step.displacement_bound_mm + ask_.need_mm + step.extra_mm;
     for (int index : ask_.moving[which]->at(ask_.backward ? ask_.steps - when : when)) {
         const MovingObstacles::Visit &e = ask_.moving[which]->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (dot(gap, gap) >= touch * touch || e.slot == last || !e.meets(step, ask_.need_mm)) continue;
+        if (!e.near(centre, radius) || e.slot == last || !e.meets(step, ask_.need_mm)) continue;
         ++met;
         last = e.slot;
     }

@@ -19,6 +19,12 @@ class MovingObstacles {
         int first = 0;
         int last = 0;
         bool late = false; // at any moment from first to last
+        // Whether its circle meets another one.
+        bool near(Vec2 at, double other_radius_mm) const {
+            const Vec2 gap = centre - at;
+            const double touch = other_radius_mm + radius_mm;
+            return dot(gap, gap) < touch * touch;
+        }
         bool meets(const SweptArm &other, double need_mm) const {
             return late ? !ever_apart(other, *swept, need_mm) : !stay_apart(other, *swept, need_mm);
         }

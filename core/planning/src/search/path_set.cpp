@@ -125,6 +125,13 @@ PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
     return {};
 }
 
+// By the circles alone: if they are within reach of it, nothing else is said.
+bool PathSet::beyond_reach(const Robot &robot, const Circle &them) const {
+    const Vec2 to = them.centre - robot.centre();
+    const double far = robot.reach_mm() + robot.extra_mm() + 0.5 * need_mm_ + them.radius_mm;
+    return dot(to, to) > far * far;
+}
+
 bool PathSet::within_reach(const Robot &robot, const SweptArm &them) const {
     const double reach =
         robot.reach_mm() + robot.extra_mm() + need_mm_ + them.displacement_bound_mm + them.extra_mm;
@@ -140,8 +147,10 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     const Member &them = at(me.neighbours[slot]);
     if (them.presence == Presence::absent) return;
     if (late_steps(me, me.neighbours[slot]) > 0) return gather_late(me, slot, moving);
-    const int rests_from = them.presence == Presence::path ? them.arrival + 1 : steps_;
+    const bool has_path = them.presence == Presence::path;
+    const int rests_from = has_path ? them.arrival + 1 : steps_;
     for (int step = 0; step <= std::min(rests_from, steps_); ++step) {
+        if (has_path && beyond_reach(me.robot, them.circles[step])) continue;
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
         const int last = step == rests_from ? steps_ : step;
@@ -225,7 +234,7 @@ void PathSet::guide(Request &request, Member &member) {
     guide_.begin(ask);
     for (const auto &visit : moving_.visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
-        const CellBits *cells =
+        const BlockedLines cells =
             member.blocked.by(robot, visit.slot, them, visit.cell, need_mm_ + guide_margin_mm, tables_);
         for (int step = visit.first; step <= visit.last; ++step)
             guide_.block(back ? steps_ - step : step, cells, visit.cost);

@@ -128,7 +128,8 @@ class PathSet {
 
   private:
     void gather(PathIndex i, MovingObstacles &moving) const;
-    // Whether it could come near to what another one sweeps.
+    // Whether it could not, or could, come near to what another one sweeps.
+    bool beyond_reach(const Robot &robot, const Circle &them) const;
     bool within_reach(const Robot &robot, const SweptArm &them) const;
     void gather_one(const Member &me, int slot, MovingObstacles &moving) const;
     void gather_late(const Member &me, int slot, MovingObstacles &moving) const;

@@ -63,6 +63,7 @@ class Repair {
     bool rounds(int most);
     bool enough();
     std::int64_t most_in_vain() const;
+    int most_repairs_in_vain() const;
     void give_time(Pair pair);
     static int least_cost(const Robot &robot, const Costs &costs);
     void tidy_one(PathIndex i, const Costs &costs);

@@ -37,14 +37,10 @@ Search::Line Search::line_at(int line, int last, int lines, int speed) {
 // From a place that was reached by a move.
 int Search::least_to_come(Place at, int move) const {
     const Robot &robot = *ask_.robot;
-    return least_to_come(at, line_at(at.cell.alpha, last_cell_.alpha, robot.alpha().size(), alpha_of(move)),
-                         line_at(at.cell.beta, last_cell_.beta, robot.beta().size(), beta_of(move)));
-}
-
-int Search::least_to_come(Place at, const Line &alpha, const Line &beta) const {
-    const int changes = ask_.costs->velocity_change * (alpha.changes + beta.changes);
-    if (ask_.guide != nullptr) return changes + ask_.guide->from(at.cell, at.step);
-    return changes + ask_.costs->move * (alpha.left + beta.left);
+    const Line alpha = line_at(at.cell.alpha, last_cell_.alpha, robot.alpha().size(), alpha_of(move));
+    const Line beta = line_at(at.cell.beta, last_cell_.beta, robot.beta().size(), beta_of(move));
+    if (ask_.guide != nullptr) return changes_to_come(alpha, beta) + ask_.guide->from(at.cell, at.step);
+    return changes_to_come(alpha, beta) + ask_.costs->move * (alpha.left + beta.left);
 }
 
 int Search::total(int cost, int to_come) const {
@@ -61,6 +57,7 @@ void Search::begin() {
     if (ask_.backward) ask_.hold += ask_.steps - ask_.deadline;
     last_step_ = ask_.backward ? ask_.steps : ask_.deadline;
     last_cell_ = ask_.backward ? ask_.robot->start() : ask_.robot->goal();
+    alphas_ = ask_.robot->alpha().size();
     const int size = ask_.robot->cells() * (ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
     const int turnings = ask_.moving->always().empty() ? 0 : 81 * ask_.robot->cells();
@@ -97,8 +94,10 @@ void Search::list_rest(Cell cell) {
     const bool at_goal = cell == ask_.robot->goal() && !ask_.robot->legs().empty();
     rest_cost_.assign(ask_.steps + 1, always_encounters(cell, {}));
     rest_met_.assign(ask_.steps + 1, -1);
+    const Vec2 centre = middle(here.at[2].a, here.at[2].b);
+    const double radius = 0.5 * length(here.at[2].b - here.at[2].a) + here.extra_mm + ask_.need_mm;
     for (const MovingObstacles::Visit &e : ask_.moving->visits()) {
-        if (ask_.moving->is_always(e) || !e.meets(here, ask_.need_mm)) continue;
+        if (ask_.moving->is_always(e) || !e.near(centre, radius) || !e.meets(here, ask_.need_mm)) continue;
         for (int k = e.first; k <= e.last; ++k) {
             const int step = ask_.backward ? ask_.steps - k : k;
             if (rest_met_[step] != e.slot) rest_cost_[step] += e.cost; // no one is met twice in a step
@@ -136,9 +135,7 @@ int Search::look_always(const SweptArm &step) const {
     int cost = 0, met = -1;
     for (const int index : ask_.moving->always()) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (e.slot == met || dot(gap, gap) >= touch * touch || !e.meets(step, ask_.need_mm)) continue;
+        if (e.slot == met || !e.near(centre, radius) || !e.meets(step, ask_.need_mm)) continue;
         cost += e.cost;
         met = e.slot;
     }
@@ -185,9 +182,7 @@ int Search::near_encounters(Place at, VelocityChanges turn) {
     doubtful_.clear();
     for (const int index : visits_at(at.step)) {
         const MovingObstacles::Visit &e = ask_.moving->visit(index);
-        const Vec2 gap = e.centre - centre;
-        const double touch = radius + e.radius_mm;
-        if (dot(gap, gap) >= touch * touch || e.slot == met) continue;
+        if (!e.near(centre, radius) || e.slot == met) continue;
         const double d2 = squared_distance(here, e.swept->at[2]);
         const double clear = room + e.swept->bulge_mm + e.swept->displacement_bound_mm + e.swept->extra_mm;
         if (d2 >= clear * clear) continue;
@@ -223,16 +218,30 @@ void Search::finish(const Open &here) {
     last_ = at;
 }
 
+Search::Leaving Search::leaving(const Open &here) const {
+    const Place at = here.place(), later{at.cell, at.step + 1};
+    return {at, turnings_[here.move], here.cost + beta_cost(at.cell), id(later),
+            ask_.guide != nullptr ? ask_.guide->around(at.cell, later.step) : CostToGo::Around()};
+}
+
+// As least_to_come.
+int Search::to_come_after(const Leaving &from, int move, const Line &alpha, const Line &beta) const {
+    const int changes = changes_to_come(alpha, beta);
+    if (ask_.guide != nullptr) return changes + from.guide.from(alpha_of(move), beta_of(move));
+    return changes + ask_.costs->move * (alpha.left + beta.left);
+}
+
 // To a cell on two lines.
-void Search::relax(const Open &here, int move, const Line &alpha, const Line &beta) {
-    const Turning &turn = turnings_[here.move][move];
-    const Place at = here.place(), next{moved(at.cell, move), at.step + 1};
-    if (!turn.possible || next.step + std::max(alpha.left, beta.left) > last_step_) return;
-    if (closed(id(next))) return;
-    const int to_come = least_to_come(next, alpha, beta);
-    int cost = here.cost + turn.cost + beta_cost(at.cell);
-    if (move == stay && !(at.cell == last_cell_)) cost += ask_.costs->wait;
-    if (cost + to_come < best_) queue_.push(Open(next, cost, move), total(cost, to_come));
+void Search::relax(const Leaving &from, int move, const Line &alpha, const Line &beta) {
+    const Turning &turn = from.turnings[move];
+    const int step = from.at.step + 1;
+    if (!turn.possible || step + std::max(alpha.left, beta.left) > last_step_) return;
+    if (closed(NodeId(from.same.value() + beta_of(move) * alphas_ + alpha_of(move)))) return;
+    const int to_come = to_come_after(from, move, alpha, beta);
+    int cost = from.cost + turn.cost;
+    if (move == stay && !(from.at.cell == last_cell_)) cost += ask_.costs->wait;
+    if (cost + to_come < best_)
+        queue_.push(Open({moved(from.at.cell, move), step}, cost, move), total(cost, to_come));
 }
 
 // Whether the last step of a way, to here, keeps it the best one. If it meets others the way goes back into
@@ -265,7 +274,8 @@ void Search::expand(const Open &here) {
     }
     // Of equals, the last is looked at first. So an arm unfolds as late as it can (beta stays or goes up),
     // and is out of the way of others until then.
-    for (int move = 0; move < 9; ++move) relax(here, move, alpha[move % 3], beta[move / 3]);
+    const Leaving from = leaving(here);
+    for (int move = 0; move < 9; ++move) relax(from, move, alpha[move % 3], beta[move / 3]);
 }
 
 void Search::trace() {

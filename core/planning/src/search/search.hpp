@@ -168,14 +168,26 @@ class Search {
     int hold_cost();
     Cell first_cell() const { return ask_.backward ? ask_.robot->goal() : ask_.robot->start(); }
     int least_to_come(Place at, int move) const;
-    int least_to_come(Place at, const Line &alpha, const Line &beta) const;
+    int changes_to_come(const Line &alpha, const Line &beta) const {
+        return ask_.costs->velocity_change * (alpha.changes + beta.changes);
+    }
     int total(int cost, int to_come) const;
     static Line line_at(int line, int last, int lines, int speed);
     int beta_cost(Cell c) const;
     bool look(Open open);
     void expand(const Open &here);
     void finish(const Open &here);
-    void relax(const Open &here, int move, const Line &alpha, const Line &beta);
+    // What all steps from a cell have in common.
+    struct Leaving {
+        Place at;
+        const Turning *turnings; // from the move by which it was reached
+        int cost;                // of a step, without its move
+        NodeId same;             // the cell, a step later
+        CostToGo::Around guide;  // of a step later, where there is one
+    };
+    Leaving leaving(const Open &here) const;
+    int to_come_after(const Leaving &from, int move, const Line &alpha, const Line &beta) const;
+    void relax(const Leaving &from, int move, const Line &alpha, const Line &beta);
     bool shaped(const MovingObstacles::Visit &e) const;
     MovingObstacles::View visits_at(int step) const {
         return ask_.moving->at(ask_.backward ? ask_.steps - step : step);
@@ -194,6 +206,7 @@ class Search {
 
     Request ask_;
     Cell last_cell_;
+    int alphas_ = 0;    // lines of its grid
     int last_step_ = 0; // by which the path must be done, in the direction of the search
     Turning turnings_[9][9];
     List<Node, NodeId> nodes_;
