@@ -7,6 +7,9 @@ import fiberloom as fl
 from fiberloom.drive.moons import WaveformMaker, maker
 from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers import AxisSteps, KnownUnits
+from fiberloom.drive.steppers.found_arms import FoundArms
+from fiberloom.instruments.model import METROLOGY
+from fiberloom.planning import Trajectory
 
 
 @pytest.mark.parametrize("most", [0, 100, 256])
@@ -24,3 +27,23 @@ def test_ways_that_are_too_long_are_not_loaded(most, monkeypatch):
     assert {0: 0, 100: 3, 256: n}[most] == len(gone)
     assert all(len(leg.counts) - 1 <= most for leg in legs)
     assert all(why == f"its way takes more than {most} segments" for why in refused.values())
+
+
+def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
+    """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
+    plane = fl.FocalPlane.of("moons", seed=0, n=1)
+    steps = AxisSteps.of(plane.instrument)
+    circles = np.column_stack([plane.arms[:, :3], np.hypot(*plane.points[METROLOGY].T)])
+    arms = FoundArms.of(plane, circles + 0.1)
+    unit = KnownUnits(steps, steps.home_deg[:, None], np.zeros((1, 2, 2, 1)), arms=arms)
+    park = plane.instrument.positioner.park_deg
+    time_s, alpha = np.array([0.0, 5.0, 10.0, 15.0]), np.array([park[0], -150.0, -80.0, -20.0])
+    beta = np.array([park[1], 130.0, 100.0, 100.0])
+    pair = maker._wave(Trajectory(1, time_s, alpha, beta), np.zeros(2, dtype=np.int64), unit)
+    assert (pair[0] >= 0).all()
+    assert (pair[1] <= 0).all()
+    end = np.array([[wave.sum() for wave in pair]])
+    off_um = 1e3 * np.hypot(
+        *(plane.forward(*unit.true_deg(end, np.ones((1, 2))).T) - plane.forward(-20.0, 100.0)).T
+    )
+    assert off_um.max() < 4.0  # half a step of each axis, 1.9 and 1.8 um, and the square of 0.1 mm
