@@ -331,7 +331,8 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
         assert (contacts.ours, contacts.misses, contacts.beyond) == (3.0, True, True)
         further = by_id.get(f"table1.{row.key}.further_within")
         assert further is None if row.key in one_move else further.ours == 1.0
-        assert within.note == row.why
+        by_moves = "after each move 0.0, 50.0 %" if corrected else ""
+        assert within.note == "; ".join(filter(None, [by_moves, row.why]))
     cells = written[0].axes[0].tables[0]
     assert [cells[k + 1, 0].get_text().get_text() for k in range(6)] == [row.name for row in table01.TABLE_1]
     assert cells[1, table01.COLUMNS.index("within")].get_text().get_text() == "50.0 %"
