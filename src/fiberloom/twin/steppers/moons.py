@@ -230,7 +230,7 @@ class MoonsBus(StepperBus):
         """All that are told to, and hold a waveform, start."""
         armed, self._armed = self._armed, []
         ready = MoonsState.READY_FORWARD, MoonsState.READY_REVERSE
-        going = [a for a in armed if self._state(a) in ready]
+        going = [a for a in dict.fromkeys(armed) if self._state(a) in ready]  # told twice, it starts once
         if not going:
             return
         rows = np.array([self.row_of[a] for a in going])
