@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom._core import geometry
+from fiberloom._core.geometry import segment_distance
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
 from fiberloom.instruments.model import METROLOGY
@@ -326,21 +327,41 @@ def _rising(rotor: Floats, before: Floats, sign: float) -> Floats:
 
 
 def _bodies_of(plane: FocalPlane, units: StepperUnits) -> ArmBodies:
-    """Real beta arms, then fiducials."""
-    fixed, n = plane.fiducials, len(plane)
+    """Real beta arms, then fiducials, then edges of keep-outs."""
+    fixed, n, edges = plane.fiducials, len(plane), _edges_mm(plane)
     links = np.column_stack([units.arms[:, L_ALPHA], np.full(n, plane.instrument.bodies.beta_segment_mm[1])])
     zero = rad_to_deg(units.arms[:, [ALPHA_OFF, BETA_OFF]])
+    length, direction = np.hypot(*(edges[:, 2:] - edges[:, :2]).T), edges[:, 2:] - edges[:, :2]
+    turn = rad_to_deg(np.arctan2(direction[:, 1], direction[:, 0]))
+    nothing = np.zeros(len(edges))
     return ArmBodies(
-        np.vstack([units.arms[:, :2], fixed[:, :2]]),
-        np.vstack([links, np.zeros((len(fixed), 2))]),
-        np.vstack([zero, np.zeros((len(fixed), 2))]),
-        np.concatenate([np.full(n, units.sizes.body_radius_mm), fixed[:, 2]]),
+        np.vstack([units.arms[:, :2], fixed[:, :2], edges[:, :2]]),
+        np.vstack([links, np.zeros((len(fixed), 2)), np.column_stack([nothing, length])]),
+        np.vstack([zero, np.zeros((len(fixed), 2)), np.column_stack([turn, nothing])]),
+        np.concatenate([np.full(n, units.sizes.body_radius_mm), fixed[:, 2], nothing]),
     )
 
 
+def _edges_mm(plane: FocalPlane) -> Floats:
+    """(E, 4) x0, y0, x1, y1 of the edges of keep-outs, without their margins."""
+    kept = [one.capsules_mm[:, :4] for one in plane.instrument.bodies.keep_outs]
+    return np.vstack([np.zeros((0, 4)), *kept])
+
+
 def _pairs_of(plane: FocalPlane) -> Ints:
-    """(P, 2) rows of bodies that can meet: arms, and arms with fiducials."""
+    """(P, 2) rows of bodies that can meet: arms, and arms with fiducials and keep-outs."""
+    n, reach = len(plane), plane.body_reach_mm[:, None]
     gap = np.hypot(*np.moveaxis(plane.centres_mm[:, None] - plane.fiducials[None, :, :2], 2, 0))
-    i, j = np.nonzero(gap < plane.body_reach_mm[:, None] + plane.fiducials[None, :, 2])
+    i, j = np.nonzero(gap < reach + plane.fiducials[None, :, 2])
+    edges = _edges_mm(plane)
+    centre, lines = np.tile(plane.centres_mm, 2)[:, None], edges[None]
+    apart = segment_distance(
+        *(
+            np.ascontiguousarray(np.broadcast_to(one, (n, len(edges), 4)).reshape(-1, 4))
+            for one in (centre, lines)
+        )
+    )
+    a, b = np.nonzero(apart.reshape(n, len(edges)) < reach)
     arms = pairs_within(plane.centres_mm, plane.body_reach_mm, 0.0)
-    return np.vstack([arms, np.column_stack([i, j + len(plane)])])
+    edges_from = n + len(plane.fiducials)
+    return np.vstack([arms, np.column_stack([i, j + n]), np.column_stack([a, b + edges_from])])
