@@ -7,6 +7,7 @@ import pytest
 
 import fiberloom as fl
 from fiberloom.cli.calibrate.steppers import SteppersOptions, steppers
+from fiberloom.drive.steppers import KnownUnits
 from fiberloom.drive.steppers.kept import read_units, save_units
 from fiberloom.errors import InputError
 from fiberloom.targets.generate import random_targets
@@ -63,7 +64,11 @@ def test_observe_goes_by_the_file_and_not_by_a_bench_of_its_own(folder, tmp_path
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"instrument": "moons"}, "is of moons, not of megara"),
+        (
+            {"about": np.frombuffer(b'{"instrument": "moons", "why": {}}', np.uint8)},
+            "is of moons, not of megara",
+        ),
+        ({"about": np.frombuffer(b"[]", np.uint8)}, "no file of units on steppers"),
         ({"positioner_id": np.arange(900, 912)}, "is not in it"),
         ({"error_deg": np.zeros((12, 2, 2, 3))}, "error_deg is not what a bench finds"),
         ({"error_deg": np.full((12, 2, 2, 25), np.nan)}, "error_deg is not what a bench finds"),
@@ -90,9 +95,8 @@ def test_no_file_and_other_motors_are_refused_in_one_line(tmp_path):
 
 def test_a_unit_that_the_bench_refuses_is_left_out_by_the_file(tmp_path):
     known = source_of(PLANE, 0, "noise").known
-    save_units(
-        type(known)(known.steps, known.knots_deg, known.error_deg, {3: "bent"}), PLANE, tmp_path / "u.npz"
-    )
+    bent = KnownUnits(known.steps, known.knots_deg, known.error_deg, {3: "bent"})
+    save_units(bent, PLANE, tmp_path / "u.npz")
     again = read_units(tmp_path / "u.npz", PLANE)
     assert again.why == {3: "bent"}
     assert again.arms is None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import json
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,8 @@ from fiberloom.instruments.model import METROLOGY
 from fiberloom.typing import Array, Floats
 from fiberloom.wholefile import whole
 
-_ARRAYS = ("instrument", "positioner_id", "knots_deg", "error_deg", "circles_mm", "why")
+_ARRAYS = ("about", "positioner_id", "knots_deg", "error_deg", "circles_mm")
+"""`about`: bytes of JSON, the name of the instrument and why units cannot be used."""
 _MOST_DEG = 30.0
 """No bench finds a larger error: a unit that is farther off is refused by it."""
 
@@ -32,13 +33,18 @@ def save_units(known: KnownUnits, plane: FocalPlane, path: str | Path) -> None:
         np.savez(
             file,
             allow_pickle=False,
-            instrument=plane.instrument.name,
+            about=_about(known, plane),
             positioner_id=plane.positioner_id,
             knots_deg=known.knots_deg,
             error_deg=known.error_deg,
             circles_mm=circles_mm(found),
-            why=np.array([known.why.get(row, "") for row in range(len(plane))]),
         )
+
+
+def _about(known: KnownUnits, plane: FocalPlane) -> Array:
+    ids = plane.positioner_id
+    told = {"instrument": plane.instrument.name, "why": {int(ids[k]): why for k, why in known.why.items()}}
+    return np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)
 
 
 def circles_mm(plane: FocalPlane) -> Floats:
@@ -51,7 +57,7 @@ def read_units(path: str | Path, plane: FocalPlane) -> KnownUnits:
 
     InputError where there is no such file, it is of another instrument, or a unit is not in it.
     """
-    found = _arrays(Path(path), plane.instrument.name)
+    found, refused = _arrays(Path(path), plane.instrument.name)
     row_of = {int(number): row for row, number in enumerate(found["positioner_id"])}
     missing = [number for number in plane.positioner_id.tolist() if number not in row_of]
     if missing:
@@ -60,7 +66,8 @@ def read_units(path: str | Path, plane: FocalPlane) -> KnownUnits:
             "calibrate them by 'fiberloom calibrate steppers'"
         )
     rows = np.array([row_of[number] for number in plane.positioner_id.tolist()], dtype=np.int64)
-    why = {k: str(found["why"][row]) for k, row in enumerate(rows.tolist()) if found["why"][row]}
+    numbers = enumerate(map(str, plane.positioner_id.tolist()))
+    why = {row: str(refused[number]) for row, number in numbers if number in refused}
     circles = found["circles_mm"][rows]
     return KnownUnits(
         AxisSteps.of(plane.instrument),
@@ -71,28 +78,31 @@ def read_units(path: str | Path, plane: FocalPlane) -> KnownUnits:
     )
 
 
-def _arrays(path: Path, instrument: str) -> dict[str, Array]:
+def _arrays(path: Path, instrument: str) -> tuple[dict[str, Array], dict[str, str]]:
+    """What is in the file, and why units cannot be used by their numbers."""
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            found = {name: file[name] for name in _ARRAYS}
+            found = {name: np.asarray(file[name]) for name in _ARRAYS}
+            about = dict(json.loads(found["about"].tobytes()))
+            name, why = str(about["instrument"]), dict(about["why"])
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or one_line(error)}; give a file of units") from None
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds for a broken file
         raise InputError(f"{path}: no file of units on steppers ({one_line(error)})") from None
-    if str(found["instrument"]) != instrument:
-        raise InputError(f"{path}: is of {one_line(found['instrument'])[:40]}, not of {instrument}")
+    if name != instrument:
+        raise InputError(f"{path}: is of {one_line(name)[:40]}, not of {instrument}")
     n, knots = found["positioner_id"].shape[:1], found["knots_deg"].shape[-1:]
     shapes = {"positioner_id": n, "knots_deg": (2, *knots), "error_deg": (*n, 2, 2, *knots)}
-    shapes |= {"circles_mm": (*n, 4), "why": n}
-    for name, shape in shapes.items():
-        if found[name].shape != shape or (name != "why" and not _sound(name, found[name])):
-            raise InputError(f"{path}: {name} is not what a bench finds; calibrate anew")
-    return found
+    shapes["circles_mm"] = (*n, 4)
+    for key, shape in shapes.items():
+        if found[key].shape != shape or not _sound(key, found[key]):
+            raise InputError(f"{path}: {key} is not what a bench finds; calibrate anew")
+    return found, why
 
 
 def _sound(name: str, array: Array) -> bool:
     """Finite numbers, of which no angle is wild and no knot out of order."""
-    if array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+    if array.dtype.kind not in ("iu" if name == "positioner_id" else "f") or not np.isfinite(array).all():
         return False
     if name == "error_deg":
         return bool((np.abs(array) <= _MOST_DEG).all())
