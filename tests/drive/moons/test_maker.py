@@ -29,6 +29,20 @@ def test_ways_that_are_too_long_are_not_loaded(most, monkeypatch):
     assert all(why == f"its way takes more than {most} segments" for why in refused.values())
 
 
+def test_a_goal_beyond_the_units_own_switches_is_named_and_not_loaded():
+    """Its zero is 0.3 deg off: what the layout has within the range is for its switch beyond -180.2."""
+    plane = fl.FocalPlane.of("moons", seed=0, n=2)
+    steps = AxisSteps.of(plane.instrument)
+    zeros = np.zeros((2, 2, 2, 1))
+    zeros[0, 0] = 0.3
+    known = KnownUnits(steps, steps.home_deg[:, None], zeros)
+    here = np.tile(plane.instrument.positioner.park_deg, (2, 1))
+    wanted = Wanted(plane, here, np.array([[-180.0, 150.0], [-180.0, 150.0]]), np.zeros(2))
+    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(2, dtype=bool), np.zeros((2, 2)), known)
+    assert refused == {0: "its way is beyond a limit by the unit's own switches"}
+    assert [leg.rows.tolist() for leg in legs] == [[1]]
+
+
 def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
     """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
     plane = fl.FocalPlane.of("moons", seed=0, n=1)

@@ -10,6 +10,8 @@ from fiberloom.drive.moons.waveform import LEAST, MOST_SEGMENTS, SEGMENT_S, wave
 from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers.known import KnownUnits
 from fiberloom.drive.steppers.link import Leg
+from fiberloom.drive.steppers.steps import AxisSteps
+from fiberloom.instruments import Instrument
 from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, plan_corrections
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -41,10 +43,15 @@ class WaveformMaker:
         if not len(rows):
             return [], refused
         waves, late = _waves(made, rows, counts, known)
+        beyond = _beyond(wanted.obstacles.instrument, known.steps, counts[rows] + np.cumsum(waves, axis=0))
+        refused |= dict.fromkeys(
+            rows[beyond].tolist(), "its way is beyond a limit by the unit's own switches"
+        )
         refused |= dict.fromkeys(rows[late].tolist(), f"its way takes more than {MOST_SEGMENTS} segments")
-        if late.all():
+        if (late | beyond).all():
             return [], refused
-        return [leg_of(rows[~late], counts[rows[~late]], waves[:MOST_SEGMENTS, ~late])], refused
+        fit = ~(late | beyond)
+        return [leg_of(rows[fit], counts[rows[fit]], waves[:MOST_SEGMENTS, fit])], refused
 
     def trial(self, rows: Ints, counts: Ints) -> Leg:
         """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""
@@ -52,6 +59,18 @@ class WaveformMaker:
         waves = np.zeros((len(way), len(rows), 2), dtype=np.int64)
         waves[..., 0] = way[:, None]
         return leg_of(rows, counts[rows], waves)
+
+
+def limits_deg(instrument: Instrument) -> Floats:
+    """(2, 2) by axis: lowest and highest angle, by its counts, that a unit lets an arm go to."""
+    return np.array([instrument.alpha.target_range_deg, instrument.beta.hard_stop_deg])
+
+
+def _beyond(instrument: Instrument, steps: AxisSteps, counts: Ints) -> Flags:
+    """(m,) which would be stopped by their interlocks on ways through counts (K, m, 2)."""
+    low, high = limits_deg(instrument).T
+    angles = steps.angles_deg(counts)
+    return np.asarray(((angles < low) | (angles > high)).any(axis=(0, 2)))
 
 
 def leg_of(rows: Ints, before: Ints, waves: Ints) -> Leg:

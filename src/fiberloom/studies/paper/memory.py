@@ -17,7 +17,7 @@ def forget_peak() -> None:
 
 
 def peak_gib() -> float:
-    """Most memory that this process has held since `forget_peak`, GiB; NaN where the system does not tell."""
+    """Most memory in GiB that this process has held since `forget_peak`; NaN where it is not told."""
     try:
         lines = _STATUS.read_text().splitlines()
     except OSError:

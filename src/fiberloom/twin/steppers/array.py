@@ -9,6 +9,7 @@ import numpy as np
 
 from fiberloom._core import geometry
 from fiberloom._core.geometry import segment_distance
+from fiberloom.drive.moons.maker import limits_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
 from fiberloom.instruments.model import METROLOGY
@@ -92,9 +93,7 @@ class StepperArray:
 
     def interlocked(self) -> None:
         """From now on an arm that touches another, or leaves its range, stops there."""
-        alpha, beta = self.plane.instrument.axes
-        limits = np.array([alpha.target_range_deg, beta.hard_stop_deg])
-        self.interlocks = Interlocks(self._bodies, self._pairs, limits)
+        self.interlocks = Interlocks(self._bodies, self._pairs, limits_deg(self.plane.instrument))
 
     def stops(self) -> list[InterlockStop]:
         """Stops by interlocks since the last call."""
