@@ -8,7 +8,6 @@ from fiberloom.drive.moons import WaveformMaker, maker
 from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers import AxisSteps, KnownUnits
 from fiberloom.drive.steppers.found_arms import FoundArms
-from fiberloom.instruments.model import METROLOGY
 from fiberloom.planning import Trajectory
 
 
@@ -47,7 +46,7 @@ def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
     """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
     plane = fl.FocalPlane.of("moons", seed=0, n=1)
     steps = AxisSteps.of(plane.instrument)
-    circles = np.column_stack([plane.arms[:, :3], np.hypot(*plane.points[METROLOGY].T)])
+    circles = np.column_stack([plane.arms[:, :3], plane.l_beta_mm])
     arms = FoundArms.of(plane, circles + 0.1)
     unit = KnownUnits(steps, steps.home_deg[:, None], np.zeros((1, 2, 2, 1)), arms=arms)
     park = plane.instrument.positioner.park_deg

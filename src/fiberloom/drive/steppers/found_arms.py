@@ -13,7 +13,6 @@ import numpy as np
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import CENTRE, L_ALPHA
-from fiberloom.instruments.model import METROLOGY
 from fiberloom.typing import Floats
 
 DAMPED_MM_DEG = 0.003
@@ -35,7 +34,7 @@ class FoundArms:
 
         One of which these are not finite, or off by more than `MOST_MM`, is as in the `layout`.
         """
-        was = np.column_stack([layout.arms[:, : L_ALPHA + 1], np.hypot(*layout.points[METROLOGY].T)])
+        was = np.column_stack([layout.arms[:, : L_ALPHA + 1], layout.l_beta_mm])
         sound = (np.abs(circles_mm - was) < MOST_MM).all(axis=1, keepdims=True)
         now, arms = np.where(sound, circles_mm, was), layout.arms.copy()
         arms[:, CENTRE], arms[:, L_ALPHA] = now[:, CENTRE], now[:, L_ALPHA]

@@ -13,7 +13,6 @@ from fiberloom.drive.steppers.steps import AxisSteps
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import L_ALPHA
-from fiberloom.instruments.model import METROLOGY
 from fiberloom.typing import Array, Floats
 from fiberloom.wholefile import whole
 
@@ -49,7 +48,7 @@ def _about(known: KnownUnits, plane: FocalPlane) -> Array:
 
 def circles_mm(plane: FocalPlane) -> Floats:
     """(N, 4) mm: centre x and y, alpha arm, distance of the fibre from the beta axis."""
-    return np.column_stack([plane.arms[:, : L_ALPHA + 1], np.hypot(*plane.points[METROLOGY].T)])
+    return np.column_stack([plane.arms[:, : L_ALPHA + 1], plane.l_beta_mm])
 
 
 def read_units(path: str | Path, plane: FocalPlane) -> KnownUnits:

@@ -19,7 +19,7 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Move
 from fiberloom.operation.reference.referencing import reference
-from fiberloom.studies.paper.memory import forget_peak, peak_gib
+from fiberloom.studies.paper.memory import forget_peak, peak_bytes
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Bound, Kind, Quantity, ordering, quantity
@@ -35,6 +35,7 @@ SWEEP_POINTS = 100
 """Of the transmission maps, where a host has them."""
 SHARE = 0.99
 """Of healthy fibres within the requirement: an instrument with more meets it."""
+BYTES_PER_GIB = 2**30
 FURTHER = 3
 """Corrections beyond those that an instrument makes, where these do not do: what it would take."""
 
@@ -157,7 +158,7 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
         0 if contacts is None else contacts,
         field.took_s,
         cpu_s,
-        peak_gib(),
+        peak_bytes() / BYTES_PER_GIB,
         field.errors_um()[-1] if len(field.loop.moves) > len(errors_um) else None,
     )
 
