@@ -29,6 +29,7 @@ from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
 from fiberloom.cli.array.site import load_site
 from fiberloom.drive.piezo import read_module_maps
+from fiberloom.drive.steppers.kept import read_units
 from fiberloom.errors import InputError
 from fiberloom.instruments import read_layout
 from fiberloom.metrology import read_spots
@@ -40,6 +41,7 @@ from fiberloom.store.listing import runs_below
 from fiberloom.tables import read_table
 from fiberloom.targets import read_targets
 
+THREE_MEGARA = fl.FocalPlane.of("megara", seed=0, n=3)
 DESI, MEGARA = fl.Instrument.of("desi"), fl.Instrument.of("megara")
 
 CPU_S = 20.0
@@ -120,6 +122,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "instrument.toml": lambda path: fl.FocalPlane.of(path, n=7),
     "site.toml": lambda path: load_site(path).defaults(),
     "maps.npz": read_maps,
+    "units.npz": lambda path: read_units(path, THREE_MEGARA),
     "trajectories.json": read_trajectories,
     "arms.ecsv": read_arms,
     "fibres.ecsv": read_table,

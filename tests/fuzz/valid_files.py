@@ -14,6 +14,8 @@ from fiberloom.calibration.fibres.offsets import FibreOffsets
 from fiberloom.calibration.focal_plane.arms_file import save_arms
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, FocalPlaneFit
 from fiberloom.calibration.transmission.maps import Provenance, TransmissionMaps
+from fiberloom.drive.steppers import AxisSteps, KnownUnits
+from fiberloom.drive.steppers.kept import save_units
 from fiberloom.instruments import write_layout
 from fiberloom.instruments.model import Modules
 from fiberloom.metrology import CameraImage, write_image, write_spots
@@ -317,6 +319,12 @@ def store(path: Path) -> None:
         path.with_name(path.name + beside).unlink(missing_ok=True)
 
 
+def units(path: Path) -> None:
+    plane = fl.FocalPlane.of("megara", seed=0, n=3)
+    known = KnownUnits.nominal(AxisSteps.of(plane.instrument), 3)
+    save_units(known, plane, path)
+
+
 WRITERS = {
     "targets.csv": targets_csv,
     "targets.ecsv": targets_table,
@@ -341,6 +349,7 @@ WRITERS = {
     "instrument.toml": instrument,
     "site.toml": site,
     "maps.npz": maps,
+    "units.npz": units,
     "trajectories.json": trajectories,
     "arms.ecsv": arms,
     "fibres.ecsv": fibres,

@@ -23,6 +23,7 @@ from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.gravity import gravity
 from fiberloom.cli.calibrate.identification import arms, coast, friction, inertia, repeatability, stiffness
 from fiberloom.cli.calibrate.learnt import history, undo
+from fiberloom.cli.calibrate.steppers import steppers
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
 from fiberloom.cli.design.budget import budget
@@ -140,6 +141,7 @@ add(design, throughput)
 
 app.add_typer(calibrate, name="calibrate")
 add(calibrate, transmission)
+add(calibrate, steppers)
 add(calibrate, focal_plane, "focal-plane")
 add(calibrate, fibres)
 add(calibrate, gravity)

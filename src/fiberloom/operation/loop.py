@@ -122,6 +122,12 @@ class Loop:
                 break
             await self.correct(corrections, f"correction {1 + done}")
 
+    async def further(self, corrections: int) -> None:
+        """Makes so many `corrections` more, whatever the stop rule says; after `run`."""
+        how, first = self._corrections(), len(self.moves)
+        for number in range(first, first + corrections):
+            await self.correct(how, f"correction {number}")
+
     async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
         """Moves the fibres to where their targets have gone before exposure `number`."""
         goals = self.goals.gone(step.target_mm, step.angles_deg, step.short_mm)

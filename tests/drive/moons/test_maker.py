@@ -7,6 +7,8 @@ import fiberloom as fl
 from fiberloom.drive.moons import WaveformMaker, maker
 from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers import AxisSteps, KnownUnits
+from fiberloom.drive.steppers.found_arms import FoundArms
+from fiberloom.planning import Trajectory
 
 
 @pytest.mark.parametrize("most", [0, 100, 256])
@@ -24,3 +26,37 @@ def test_ways_that_are_too_long_are_not_loaded(most, monkeypatch):
     assert {0: 0, 100: 3, 256: n}[most] == len(gone)
     assert all(len(leg.counts) - 1 <= most for leg in legs)
     assert all(why == f"its way takes more than {most} segments" for why in refused.values())
+
+
+def test_a_goal_beyond_the_units_own_switches_is_named_and_not_loaded():
+    """Its zero is 0.3 deg off: what the layout has within the range is for its switch beyond -180.2."""
+    plane = fl.FocalPlane.of("moons", seed=0, n=2)
+    steps = AxisSteps.of(plane.instrument)
+    zeros = np.zeros((2, 2, 2, 1))
+    zeros[0, 0] = 0.3
+    known = KnownUnits(steps, steps.home_deg[:, None], zeros)
+    here = np.tile(plane.instrument.positioner.park_deg, (2, 1))
+    wanted = Wanted(plane, here, np.array([[-180.0, 150.0], [-180.0, 150.0]]), np.zeros(2))
+    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(2, dtype=bool), np.zeros((2, 2)), known)
+    assert refused == {0: "its way is beyond a limit by the unit's own switches"}
+    assert [leg.rows.tolist() for leg in legs] == [[1]]
+
+
+def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
+    """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
+    plane = fl.FocalPlane.of("moons", seed=0, n=1)
+    steps = AxisSteps.of(plane.instrument)
+    circles = np.column_stack([plane.arms[:, :3], plane.l_beta_mm])
+    arms = FoundArms.of(plane, circles + 0.1)
+    unit = KnownUnits(steps, steps.home_deg[:, None], np.zeros((1, 2, 2, 1)), arms=arms)
+    park = plane.instrument.positioner.park_deg
+    time_s, alpha = np.array([0.0, 5.0, 10.0, 15.0]), np.array([park[0], -150.0, -80.0, -20.0])
+    beta = np.array([park[1], 130.0, 100.0, 100.0])
+    pair = maker._wave(Trajectory(1, time_s, alpha, beta), np.zeros(2, dtype=np.int64), unit)
+    assert (pair[0] >= 0).all()
+    assert (pair[1] <= 0).all()
+    end = np.array([[wave.sum() for wave in pair]])
+    off_um = 1e3 * np.hypot(
+        *(plane.forward(*unit.true_deg(end, np.ones((1, 2))).T) - plane.forward(-20.0, 100.0)).T
+    )
+    assert off_um.max() < 4.0  # half a step of each axis, 1.9 and 1.8 um, and the square of 0.1 mm

@@ -183,6 +183,35 @@ def test_megara_s_robots(megara, shared_megara):
     np.testing.assert_allclose(off.std(axis=0), [0.013, 0.017], atol=6e-4)
 
 
+def test_megara_s_exclusion_area_is_free_of_folded_arms_and_within_reach_of_six(megara):
+    """The frame of the bundle in the middle; folded, an arm keeps within its elbow's circle and the bar."""
+    (area,) = megara.instrument.bodies.keep_outs
+    apart = area.distance_mm(megara.centres_mm)
+    assert apart.min() == pytest.approx(9.3, abs=0.1)  # 9.8 mm less its margin
+    folded = megara.beta_segments(*megara.park_deg.T)
+    for end in (folded[:, :2], folded[:, 2:]):
+        assert area.distance_mm(end).min() > megara.collision_buffer_mm
+    beside = np.flatnonzero(apart < megara.body_reach_mm)
+    assert len(beside) == 6
+    names = np.arange(6).astype(str)
+    # a target for each, out on its own side or in on that of the area
+    centres = megara.centres_mm[beside]
+    out = centres / np.hypot(*centres.T)[:, None]
+    for side, most in ((1.0, 6), (-1.0, 2)):
+        xy = (centres + 11.0 * side * out).T
+        targets = fl.TargetList(names, *xy, np.zeros(6), np.full(6, ""), np.full(6, -1))
+        found = fl.assign(megara, targets)
+        assert found.n_assigned <= most
+        goals = megara.forward(*found.goal_deg.T)[found.target >= 0]
+        assert (area.distance_mm(goals) > 0.0).all()
+        if side > 0.0:
+            assert found.n_assigned == 6
+        else:
+            why = list(found.unassigned.values())
+            assert all("would touch a fiducial, a guide camera or an offline neighbour" in one for one in why)
+            assert len(why) >= 4
+
+
 def test_tables_of_another_instrument_are_refused(shared_desi, shared_pfs, shared_megara):
     for folder, name, use in (
         (shared_desi, "pfs", "use --instrument desi"),

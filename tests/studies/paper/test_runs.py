@@ -305,7 +305,8 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
         blind = np.array([2.0, 4.0]) * row.requirement_um
         last = np.array([0.5, 1.5]) * row.requirement_um
         moves = [blind] if row.key in one_move else [blind, last]
-        return table01.InstrumentRun(moves, 2, 57, 1, 3, 100.0, 7.0)
+        further = None if row.key in one_move else last / 3.0
+        return table01.InstrumentRun(moves, 2, 57, 1, 3, 100.0, 7.0, 0.5, further)
 
     monkeypatch.setattr(table01, "observe", observe)
     _, by_id = made(table01, SimpleNamespace(given=Settings(seed=1, n_seeds=2, full=full)))
@@ -325,7 +326,18 @@ def test_table_1_holds_every_instrument_against_its_own_requirement(monkeypatch,
         assert blind == pytest.approx(np.sqrt(10.0) * row.requirement_um)
         assert by_id[f"table1.{row.key}.moves"].ours == (2.0 if corrected else 1.0)
         assert by_id[f"table1.{row.key}.reconfiguration_s"].ours == 100.0
-    (axes,) = written[0].axes
+        assert by_id[f"table1.{row.key}.memory_gib"].ours == 0.5
+        contacts = by_id[f"table1.{row.key}.contacts"]
+        assert (contacts.ours, contacts.misses, contacts.beyond) == (3.0, True, True)
+        further = by_id.get(f"table1.{row.key}.further_within")
+        assert further is None if row.key in one_move else further.ours == 1.0
+        by_moves = "after each move 0.0, 50.0 %" if corrected else ""
+        assert within.note == "; ".join(filter(None, [by_moves, row.why]))
+    cells = written[0].axes[0].tables[0]
+    assert [cells[k + 1, 0].get_text().get_text() for k in range(6)] == [row.name for row in table01.TABLE_1]
+    assert cells[1, table01.COLUMNS.index("within")].get_text().get_text() == "50.0 %"
+    assert cells[1, table01.COLUMNS.index("contacts")].get_text().get_text() == f"{3 * runs}"
+    (axes,) = written[1].axes
     assert [t.get_text() for t in axes.get_xticklabels()] == [row.name for row in table01.TABLE_1]
     # dots after the blind move, after the corrections where there are any, and the requirement
     assert len(axes.lines) == sum(2 if row.key in one_move else 3 for row in table01.TABLE_1)

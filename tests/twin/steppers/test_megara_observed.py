@@ -34,8 +34,8 @@ def test_a_blind_field_meets_the_requirement_in_truth(whole):
     last = summary["moves"][-1]
     assert len(summary["moves"]) == 1
     assert summary["n_within_requirement"] == summary["n_assigned"] >= 25
-    # sizes of the preset: switches 0.02 deg, arms 10 um, half a step; 102 um are asked for
-    assert 4.0 < last["true_rms_um"] < 25.0
+    # switches of 0.02 deg at some 8 and 6 mm are 3.4 um, half a step of beta 0.3 um; the bench knows arms
+    assert 2.0 < last["true_rms_um"] < 7.0
     assert summary["contacts_true"] == summary["collisions_verified"] == 0
     assert source.bus.array.contacts() == 0
 
@@ -124,7 +124,7 @@ def test_one_that_is_silent_at_the_begin_may_be_anywhere(faults, moves, tmp_path
     numbers = [number for those in summary["faults"].values() for number in those]
     flagged = np.isin(PLANE.positioner_id, numbers)
     off_mm = np.hypot(*(source.bus.array.fibre_xy() - PLANE.centres_mm[row]).T)
-    assert (~flagged).sum() >= 20
+    assert (~flagged).sum() >= 18
     assert off_mm[~flagged].min() > PLANE.body_reach_mm[row]
 
 
@@ -142,7 +142,9 @@ def test_a_second_field_folds_first(tmp_path):
 
 def test_arms_that_are_driven_into_each_other_are_counted():
     """Without plan and verifier: two neighbours stretched towards each other."""
-    plane = fl.FocalPlane.of("megara", seed=0, n=2)
+    field = fl.FocalPlane.of("megara", seed=0, n=7)
+    near = int(np.argsort(np.hypot(*(field.centres_mm - field.centres_mm[0]).T))[1])
+    plane = field.select([0, near])
     array = StepperArray(plane, seed=0)
     to_other = np.rad2deg(np.arctan2(*(plane.centres_mm[1] - plane.centres_mm[0])[::-1]))
     goal = np.array([[to_other, 0.0], [to_other - 180.0, 0.0]])
@@ -155,6 +157,26 @@ def test_arms_that_are_driven_into_each_other_are_counted():
     now[0] = 61.0
     assert np.abs(array.truth() - goal).max() < 2.0
     assert array.contacts() == 1
+
+
+def test_an_arm_that_is_driven_into_the_exclusion_area_is_counted():
+    """Stretched towards the frame of the fibre bundle: 9 to 11 mm away, and 11.7 mm long."""
+    field = fl.FocalPlane.of("megara", seed=0, n=30)
+    (area,) = field.instrument.bodies.keep_outs
+    apart = area.distance_mm(field.centres_mm)
+    assert apart.min() > 9.0
+    plane = field.select([int(np.argmin(apart))])
+    for turn, contacts in ((0.0, 1), (180.0, 0)):
+        array = StepperArray(plane, seed=0)
+        inwards = np.rad2deg(np.arctan2(*-plane.centres_mm[0, ::-1])) + turn
+        goal = np.array([[-((-inwards) % 360.0), 0.0]])
+        counts = array.units.steps.of_angles(goal)
+        folded = array.units.steps.of_angles(np.array([[goal[0, 0], -180.0]]))
+        array.go(CountPath(np.arange(1), np.array([[0.0], [60.0]]), np.stack([0 * counts, folded]) * 1.0))
+        array.clock = lambda: 61.0
+        assert array.contacts() == 0  # folded it turns freely
+        array.go(CountPath(np.arange(1), np.array([[0.0], [60.0]]), np.stack([folded, counts]) * 1.0))
+        assert array.contacts() == contacts
 
 
 def test_a_weak_motor_is_found_at_its_switch():

@@ -85,6 +85,7 @@ class MoonsError(IntEnum):
     WAVEFORM = 3
     NO_DATUM = 4
     COLLISION = 5
+    LIMIT = 6
 
 
 class Segment(IntFlag):

@@ -26,6 +26,7 @@ from fiberloom.drive.moons.frames import (
     segment_data,
     unwrapped,
 )
+from fiberloom.drive.moons.waveform import MOST_SEGMENTS, SEGMENT_S
 from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
 from fiberloom.errors import InputError
 from fiberloom.typing import Ints
@@ -38,6 +39,8 @@ SETTLE_S = 0.05
 MIDDLE = -ALPHA_START, 0
 """Counts about which counters are read: all that arms can reach are within 16 bits of these."""
 SEARCHED = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
+FREE_TRIES, FREE_S = 6, 0.05
+"""Tries (ukatc/fpu_driver), and s that the steps of one take."""
 NONE, ENDS = Segment(0), Segment.LAST | Segment.REPLY
 
 
@@ -162,7 +165,61 @@ class MoonsLink:
         await self.sleep(leg.duration_s + SETTLE_S)
         goals = {number: (int(a), int(b)) for number, (a, b) in zip(ids, leg.counts[-1], strict=True)}
         told = await self._asked(ids, MoonsCommand.PING)
-        return {number: _ended(goals[number], told.get(number)) for number in ids}
+        ended = {number: _ended(goals[number], told.get(number)) for number in ids}
+        met = {number: told[number] for number, how in ended.items() if how is Outcome.COLLIDED}
+        await self._free(met, dict(zip(ids, leg.counts.swapaxes(0, 1), strict=True)))
+        return ended
+
+    async def _free(self, met: dict[int, MoonsAnswer], ways: dict[int, Ints]) -> None:
+        """Those that have `met` something go a few steps at a time until their interlocks agree.
+
+        `ways` (C, 2): counts that each was to go through. First back where it came from, then the other way,
+        for only one axis is freed; one that is not free then stays where it is.
+        """
+        clockwise = {
+            n: _came_rising(_counts(one), ways[n], 0 if one.error is MoonsError.LIMIT else 1)
+            for n, one in met.items()
+        }
+        for k in range(3 * FREE_TRIES):
+            if not met:
+                return
+            back = k < FREE_TRIES
+            await self._send(
+                (
+                    n,
+                    MoonsCommand.FREE_ALPHA if one.error is MoonsError.LIMIT else MoonsCommand.FREE_BETA,
+                    bytes([clockwise[n] == back]),
+                )
+                for n, one in met.items()
+            )
+            await self.sleep(FREE_S)
+            for command in (MoonsCommand.PROTECT_BETA, MoonsCommand.PROTECT_ALPHA):
+                met = {n: one for n, one in (await self._asked(met, command)).items() if one.error}
+
+    async def reverse(self, ids: Sequence[int]) -> dict[int, Outcome]:
+        """Units `ids` go their last waveform back, all at once: a field returns to where it began.
+
+        Nothing starts where one cannot.
+        """
+        begin = await self._asked(ids, MoonsCommand.PING)
+        ready = await self._asked(ids, MoonsCommand.REVERSE)
+        if not all(n in ready and ready[n].error is MoonsError.NONE for n in ids):
+            await self.stop()
+            missing = {n: Outcome.REFUSED if n in ready else Outcome.DISCONNECTED for n in ids}
+            return {n: missing[n] if n not in ready or ready[n].error else Outcome.STOPPED for n in ids}
+        await self._to_all(MoonsCommand.EXECUTE)
+        await self._until(set(ids), {MoonsCommand.MOTION_FINISHED}, MOST_SEGMENTS * SEGMENT_S + SETTLE_S)
+        told = await self._asked(begin, MoonsCommand.PING)
+        return {
+            n: Outcome.DISCONNECTED
+            if n not in told
+            else Outcome.COLLIDED
+            if told[n].error
+            else Outcome.DONE
+            if told[n].state is MoonsState.RESTING
+            else Outcome.TIMED_OUT
+            for n in ids
+        }
 
     async def _load(self, ids: Sequence[int], leg: Leg) -> dict[int, MoonsAnswer]:
         """The answer of each to its last segment."""
@@ -217,15 +274,27 @@ def _ended(goal: tuple[int, int], answer: MoonsAnswer | None) -> Outcome:
     return Outcome.DONE if there else Outcome.COLLIDED if answer.error else Outcome.TIMED_OUT
 
 
+def _came_rising(here: tuple[int, int], way: Ints, axis: int) -> bool:
+    """Whether an axis was counting upwards where it has stopped on its way (C, 2): it is freed clockwise.
+
+    One that stood is freed towards the datum, where its arm is folded.
+    """
+    off = np.abs(way - here).sum(axis=1)
+    k = int(np.argmin(off[:-1] + off[1:]))
+    change = way[k + 1, axis] - way[k, axis]
+    return bool(change > 0 if change else here[axis] > 0)
+
+
 def _segments(steps: Ints) -> list[bytes]:
-    """Data of CONFIG_MOTION for the steps (K, 2) of a unit, without the rests at its end."""
-    moving = np.flatnonzero(steps.any(axis=1))
-    whole = steps[: moving[-1] + 1] if len(moving) else steps[:1]
-    last = len(whole) - 1
+    """Data of CONFIG_MOTION for the steps (K, 2) of a unit.
+
+    With the rests at its end: backwards, they make it wait for those that it waited for.
+    """
+    last = len(steps) - 1
     return [
         segment_data(
             (int(a), int(b)),
             (Segment.FIRST if k == 0 else NONE) | (ENDS if k == last else NONE),
         )
-        for k, (a, b) in enumerate(whole.tolist())
+        for k, (a, b) in enumerate(steps.tolist())
     ]

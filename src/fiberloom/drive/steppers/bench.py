@@ -1,8 +1,9 @@
 """Calibration of steppers on a bench, each unit alone under a camera: mechanical zeros, errors of the gears.
 
 One axis turns to and fro over its range while the other stands, sweep after sweep, each begun by a search of
-the datum. Alpha is found with the arm at a right angle, where a fibre tells both angles; beta from the elbow
-that follows then. Layout and arms are those of the plane. ukatc/FPUVerification finds MOONS' tables so.
+the datum. The circles that fibres go on tell the axes and both arms. Alpha is found with the arm at a right
+angle, where a fibre tells both angles; beta from the elbow that follows then. ukatc/FPUVerification finds
+MOONS' tables so.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
+from fiberloom.calibration.transmission.circle import fit_circles
+from fiberloom.drive.steppers.found_arms import FoundArms
 from fiberloom.drive.steppers.known import KnownUnits
 from fiberloom.drive.steppers.steps import AxisSteps
 from fiberloom.instruments import FocalPlane
@@ -55,38 +58,63 @@ class BenchSettings:
 
 
 def calibrate_units(plane: FocalPlane, bench: Bench, settings: BenchSettings) -> KnownUnits:
-    """Zeros and tables of the N units of a `plane` on a `bench`, by `settings`."""
-    found = _Found(plane, bench, settings.zero_points if settings.knots == 1 else settings.knots)
-    error = np.mean([found.sweep() for _ in range(settings.sweeps)], axis=0)
+    """Zeros, tables and arms of the N units of a `plane` on a `bench`, by `settings`.
+
+    With one knot only the zeros are found, by the arms of the plane.
+    """
+    zeros = settings.knots == 1
+    found = _Found(plane, bench, settings.zero_points if zeros else settings.knots)
+    seen = [found.sweep() for _ in range(settings.sweeps)]
+    arms = None if zeros else found.arms(seen)
+    error = np.mean([found.errors(one) for one in seen], axis=0)
     off_deg = np.nan_to_num(np.abs(error), nan=np.inf).max(axis=(1, 2, 3))
     why = dict.fromkeys(np.flatnonzero(off_deg > MOST_DEG).tolist(), "on the bench it did not go where told")
     knots, error = found.knots_deg, np.nan_to_num(error)
-    if settings.knots == 1:
+    if zeros:
         knots = knots.mean(axis=1, keepdims=True)
         error = np.broadcast_to(error.mean(axis=(2, 3), keepdims=True), (*error.shape[:3], 1)).copy()
-    return KnownUnits(found.steps, knots, error, why)
+    return KnownUnits(found.steps, knots, error, why, arms)
 
 
 class _Found:
     """What sweeps have found."""
 
     def __init__(self, plane: FocalPlane, bench: Bench, points: int) -> None:
-        self.plane, self.bench, self.steps = plane, bench, AxisSteps.of(plane.instrument)
+        self.layout, self.plane, self.bench = plane, plane, bench
+        self.steps = AxisSteps.of(plane.instrument)
         self.knots_deg = np.array(
             [np.linspace(*axis.target_range_deg, points) for axis in plane.instrument.axes]
         )
         folded = self.steps.home_deg[1]
         inner = np.sign(np.mean(plane.instrument.beta.target_range_deg) - folded)
         self._right_deg = folded + RIGHT_DEG * inner
+        self._middle = points // 2
 
     def sweep(self) -> Floats:
-        """(N, 2, 2, K) errors in deg of one sweep."""
+        """(N, 2, 2, K, 2) mm: fibres of one sweep, by axis, way and knot."""
         self.bench.home()
-        alpha = self._alpha(self._ways(0, self._right_deg))
-        middle = self.knots_deg.shape[1] // 2
-        fixed_deg = self.knots_deg[0, middle]
+        alpha = self._ways(0, self._right_deg)
+        return np.stack([alpha, self._ways(1, self.knots_deg[0, self._middle])], axis=1)
+
+    def arms(self, sweeps: list[Floats]) -> FoundArms:
+        """Axes and arms by the circles of all `sweeps`; angles are told by them from then on.
+
+        Each sweep has a datum of its own, so it has circles of its own.
+        """
+        circles = [[_circles(seen[:, axis]) for axis in (0, 1)] for seen in sweeps]
+        centre = np.mean([alpha[:, :2] for alpha, _ in circles], axis=0)
+        elbow = np.mean([np.hypot(*(beta - alpha)[:, :2].T) for alpha, beta in circles], axis=0)
+        reach = np.mean([beta[:, 2] for _, beta in circles], axis=0)
+        found = FoundArms.of(self.layout, np.column_stack([centre, elbow, reach]))
+        self.plane = found.found
+        return found
+
+    def errors(self, seen: Floats) -> Floats:
+        """(N, 2, 2, K) errors in deg by the fibres (N, 2, 2, K, 2) of a sweep."""
+        fixed_deg = self.knots_deg[0, self._middle]
+        alpha = self._alpha(seen[:, 0])
         # where alpha stands while beta turns: it came there falling
-        beta = self._beta(self._ways(1, fixed_deg), fixed_deg + alpha[:, 1, middle])
+        beta = self._beta(seen[:, 1], fixed_deg + alpha[:, 1, self._middle])
         return np.stack([alpha, beta], axis=1)
 
     def _alpha(self, seen: Floats) -> Floats:
@@ -134,6 +162,13 @@ class _Found:
         wanted = np.empty((len(self.plane), 2))
         wanted[:, axis], wanted[:, 1 - axis] = at_deg, other_deg
         return wanted
+
+
+def _circles(seen: Floats) -> Floats:
+    """(N, 3) mm: centre and radius of the circle through fibres (N, 2, K, 2)."""
+    points = seen.reshape(len(seen), -1, 2)
+    fit = fit_circles(points, np.ones(points.shape[:2], dtype=bool))
+    return np.column_stack([fit.centre_mm, fit.radius_mm])
 
 
 def _wrapped(angles_deg: Floats) -> Floats:

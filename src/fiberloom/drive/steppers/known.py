@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fiberloom.drive.steppers.found_arms import FoundArms
 from fiberloom.drive.steppers.steps import AxisSteps
 from fiberloom.typing import Floats, Ints
 
@@ -28,6 +29,8 @@ class KnownUnits:
     """(N, 2, 2, K) by axis and by direction of the last motion: angle rising, falling."""
     why: dict[int, str] = field(default_factory=dict)
     """Units that cannot be used, by row: what the bench has found."""
+    arms: FoundArms | None = None
+    """As the bench has found them; None: as in the layout. All angles here are those of the layout's arms."""
 
     @classmethod
     def nominal(cls, steps: AxisSteps, n: int) -> KnownUnits:
@@ -36,19 +39,33 @@ class KnownUnits:
 
     def of_unit(self, row: int) -> KnownUnits:
         """Of one unit, for any number of places of it."""
-        return KnownUnits(self.steps, self.knots_deg, self.error_deg[row : row + 1])
+        arms = None if self.arms is None else self.arms.of_unit(row)
+        return KnownUnits(self.steps, self.knots_deg, self.error_deg[row : row + 1], arms=arms)
 
     def true_deg(self, counts: Ints | Floats, rising: Floats) -> Floats:
         """(N, 2) angles in deg of the arms after `counts` (N, 2), that came `rising` (N, 2) 1 or -1."""
         nominal = self.steps.angles_deg(counts)
-        return nominal + self._error_deg(nominal, rising)
+        angles = nominal + self._error_deg(nominal, rising)
+        return angles if self.arms is None else self.arms.layout_deg(angles)
 
     def counts(self, angles_deg: Floats, rising: Floats) -> Ints:
         """(N, 2) counts that bring arms nearest to `angles_deg` (N, 2), coming `rising` (N, 2) 1 or -1."""
-        nominal = np.array(angles_deg, dtype=np.float64)
+        wanted = np.array(angles_deg, dtype=np.float64)
+        wanted = wanted if self.arms is None else self.arms.arms_deg(wanted)
+        nominal = wanted
         for _ in range(ROUNDS):
-            nominal = angles_deg - self._error_deg(nominal, rising)
+            nominal = wanted - self._error_deg(nominal, rising)
         return self.steps.of_angles(nominal)
+
+    def counts_on_way(self, angles_deg: Floats, goal_deg: Floats, rising: Floats) -> Ints:
+        """As `counts`, on a way that ends at `goal_deg` (N, 2) or (1, 2).
+
+        An axis that is at its goal is aimed for the arm as it will stand at the end: found arms need other
+        angles of both axes, and it would turn again while the other one moves.
+        """
+        there = np.isclose(angles_deg, goal_deg, rtol=0.0, atol=1e-9)
+        end = self.counts(np.broadcast_to(goal_deg, angles_deg.shape), rising)
+        return np.where(there, end, self.counts(angles_deg, rising))
 
     def _error_deg(self, nominal_deg: Floats, rising: Floats) -> Floats:
         unit, axis = np.indices(nominal_deg.shape)

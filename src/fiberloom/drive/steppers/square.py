@@ -39,7 +39,7 @@ class SquareMaker:
         found = grouped(wanted.obstacles, wanted.here_deg, wanted.goal_deg, moves)
         now, angles, legs = counts.copy(), wanted.here_deg, []
         for rows, after in found.stages:
-            told = known.counts(after, np.sign(after - angles))
+            told = known.counts_on_way(after, wanted.goal_deg, np.sign(after - angles))
             then = now.copy()
             then[rows] = np.where(np.abs(after - angles)[rows] > 1e-9, told[rows], now[rows])
             legs.append(self.leg(rows, now[rows], then[rows]))

@@ -143,6 +143,7 @@ class CobraSource:
         self.array.touched.clear()
         own = self.hardware.drive
         assert isinstance(own, CobraDrive)
+        await own.client.open()  # its clock is that of the boards from now on
         own.law.maps = found.motors.maps
         own.law.trust_maps(found.motors.scatter, np.array([not r for r in found.motors.reason]))
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom._core import geometry
+from fiberloom._core.geometry import segment_distance
+from fiberloom.drive.moons.maker import limits_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
 from fiberloom.instruments.model import METROLOGY
@@ -15,6 +17,7 @@ from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.cobras.contacts import ArmBodies, touching
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import AilmentKind, FaultKind
+from fiberloom.twin.steppers.interlocks import Interlocks, InterlockStop
 from fiberloom.twin.steppers.units import StepperUnits, draw_stepper_units
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Flags, Floats, Ints
@@ -51,7 +54,9 @@ class _Running:
 
 
 class StepperArray:
-    """The steppers of a focal plane as they really are. Arms pass through each other; it is counted.
+    """The steppers of a focal plane as they really are.
+
+    Arms pass through each other, unless interlocks stop them; either is counted.
 
     `plane`: the layout; `units`: the true ones, drawn by the `seed` when left out; `contacts`: whether arms
     can meet, False on a bench.
@@ -75,6 +80,9 @@ class StepperArray:
         self._given = 0
         self._bodies = _bodies_of(plane, self.units)
         self._pairs = _pairs_of(plane) if contacts else np.zeros((0, 2), dtype=np.int64)
+        self.interlocks: Interlocks | None = None
+        """What stops units on their way; None: nothing does."""
+        self._stops: list[InterlockStop] = []
 
     # motion
 
@@ -83,12 +91,26 @@ class StepperArray:
         """Now."""
         return self.clock()
 
-    def go(self, path: CountPath) -> float:
-        """Motors follow counts from now on; how long it takes, s. What touches on the way is noted."""
+    def interlocked(self) -> None:
+        """From now on an arm that touches another, or leaves its range, stops there."""
+        self.interlocks = Interlocks(self._bodies, self._pairs, limits_deg(self.plane.instrument))
+
+    def stops(self) -> list[InterlockStop]:
+        """Stops by interlocks since the last call."""
+        found, self._stops = self._stops, []
+        return found
+
+    def go(self, path: CountPath, *, freeing: bool = False) -> float:
+        """Motors follow counts from now on; how long it takes, s. What touches on the way is noted.
+
+        `freeing`: out of what an interlock has stopped at; nothing stops it, and it is noted already.
+        """
         time_s, rotor = self._others(np.unique(path.time_s), path.rows)
         rotor[:, path.rows] += _gone(path, time_s) * self._kept(path.rows)
         self.counts[path.rows] = np.rint(path.counts[-1]).astype(np.int64)
-        self._run(time_s, rotor)
+        self._run(time_s, rotor, None if freeing else self.interlocks)
+        if not freeing:
+            self._note_contacts()
         return float(path.time_s[-1].max())
 
     def seek(self, rows: Ints, axis: int, rate_Hz: float) -> tuple[Floats, Flags, Ints]:
@@ -110,6 +132,7 @@ class StepperArray:
         gone = np.clip(time_s[:, None] / np.maximum(took_s, 1e-9), 0.0, 1.0)
         rotor[:, rows, axis] += gone * way
         self._run(time_s, rotor)
+        self._note_contacts()
         return took_s, found, slip
 
     def halt(self, rows: Ints) -> None:
@@ -141,11 +164,46 @@ class StepperArray:
             rotor[:, going] = before + share[:, None, None] * (after - before)
         return time_s, rotor
 
-    def _run(self, after_s: Floats, rotor: Floats) -> None:
-        begin_s = self.time_s
+    def _run(self, after_s: Floats, rotor: Floats, interlocks: Interlocks | None = None) -> None:
         rising = _rising(rotor, self._rising_now(), self.units.steps.sign)
-        self._path = _Running(begin_s + after_s, rotor, rising)
-        self._note_contacts(begin_s)
+        self._path = _Running(self.time_s + after_s, rotor, rising)
+        if interlocks is not None:
+            self._stop_where_met(interlocks)
+
+    def _stop_where_met(self, interlocks: Interlocks) -> None:
+        """Stops units on the path one after the other; each stop changes what comes after it."""
+        held = np.zeros(len(self.plane), dtype=bool)
+        while True:
+            counted = self.units.steps.angles_deg(self._path.rotor)
+            stop = interlocks.first(self._path.time_s, self._way_deg(), counted, held)
+            if stop is None:
+                return
+            self._stops.append(stop)
+            rows = np.array(stop.rows)
+            self._hold(rows[~held[rows]], stop.time_s)
+            held[rows] = True
+
+    def obstructed(self, row: int) -> bool:
+        """Whether a unit touches something where it stands, or is beyond a limit."""
+        if self.interlocks is None:
+            return False
+        at = np.vstack([self.truth(), np.zeros((len(self._bodies.radius_mm) - len(self.plane), 2))])
+        counted = self.units.steps.angles_deg(self._rotor_now()[row])
+        return self.interlocks.meets(row, at) or self.interlocks.beyond(counted)
+
+    def _hold(self, rows: Ints, time_s: float) -> None:
+        """Rotors `rows` stand from a moment of the path on; their controllers have counted what was gone."""
+        path = self._path
+        k = int(np.clip(np.searchsorted(path.time_s, time_s), 1, len(path.time_s) - 1))
+        before_s, after_s = path.time_s[k - 1 : k + 1]
+        share = (time_s - before_s) / (after_s - before_s)
+        here = path.rotor[k - 1] + share * (path.rotor[k] - path.rotor[k - 1])
+        rotor = np.insert(path.rotor, k, here, axis=0)
+        self.counts[rows] -= np.rint(rotor[-1, rows] - here[rows]).astype(np.int64)
+        rotor[k:, rows] = here[rows]
+        rising = np.insert(path.rising, k, path.rising[k], axis=0)
+        rising[k:, rows] = rising[k, rows]
+        self._path = _Running(np.insert(path.time_s, k, time_s), rotor, rising)
 
     def _kept(self, rows: Ints) -> Floats:
         """(m, 2) share of a way that rotors go: the rest a weak motor loses, in whole electrical turns."""
@@ -173,16 +231,19 @@ class StepperArray:
     def _rising_now(self) -> Floats:
         return np.asarray(self._path.rising[self._index()[0]])
 
-    def _note_contacts(self, begin_s: float) -> None:
+    def _note_contacts(self) -> None:
         if not len(self._pairs):
             return
-        way_deg = self.units.output_deg(self._path.rotor, self._path.rising, self._datum_deg, at_rest=False)
-        fixed = len(self._bodies.radius_mm) - len(self.plane)
-        way_deg = np.concatenate([way_deg, np.zeros((len(way_deg), fixed, 2))], axis=1)
-        hit = touching(self._bodies, self._pairs, way_deg)
+        hit, begin_s = touching(self._bodies, self._pairs, self._way_deg()), self.time_s
         ids, n = self.plane.positioner_id, len(self.plane)
         for i, j in self._pairs[hit].tolist():
             self._touches.append(Touch(begin_s, int(ids[i]), int(ids[j]) if j < n else None))
+
+    def _way_deg(self) -> Floats:
+        """(K, n, 2) true angles of arms along the path; fixed bodies have 0."""
+        way_deg = self.units.output_deg(self._path.rotor, self._path.rising, self._datum_deg, at_rest=False)
+        fixed = len(self._bodies.radius_mm) - len(self.plane)
+        return np.concatenate([way_deg, np.zeros((len(way_deg), fixed, 2))], axis=1)
 
     # what cameras and reports ask of a twin
 
@@ -265,21 +326,41 @@ def _rising(rotor: Floats, before: Floats, sign: float) -> Floats:
 
 
 def _bodies_of(plane: FocalPlane, units: StepperUnits) -> ArmBodies:
-    """Real beta arms, then fiducials."""
-    fixed, n = plane.fiducials, len(plane)
+    """Real beta arms, then fiducials, then edges of keep-outs."""
+    fixed, n, edges = plane.fiducials, len(plane), _edges_mm(plane)
     links = np.column_stack([units.arms[:, L_ALPHA], np.full(n, plane.instrument.bodies.beta_segment_mm[1])])
     zero = rad_to_deg(units.arms[:, [ALPHA_OFF, BETA_OFF]])
+    length, direction = np.hypot(*(edges[:, 2:] - edges[:, :2]).T), edges[:, 2:] - edges[:, :2]
+    turn = rad_to_deg(np.arctan2(direction[:, 1], direction[:, 0]))
+    nothing = np.zeros(len(edges))
     return ArmBodies(
-        np.vstack([units.arms[:, :2], fixed[:, :2]]),
-        np.vstack([links, np.zeros((len(fixed), 2))]),
-        np.vstack([zero, np.zeros((len(fixed), 2))]),
-        np.concatenate([np.full(n, units.sizes.body_radius_mm), fixed[:, 2]]),
+        np.vstack([units.arms[:, :2], fixed[:, :2], edges[:, :2]]),
+        np.vstack([links, np.zeros((len(fixed), 2)), np.column_stack([nothing, length])]),
+        np.vstack([zero, np.zeros((len(fixed), 2)), np.column_stack([turn, nothing])]),
+        np.concatenate([np.full(n, units.sizes.body_radius_mm), fixed[:, 2], nothing]),
     )
 
 
+def _edges_mm(plane: FocalPlane) -> Floats:
+    """(E, 4) x0, y0, x1, y1 of the edges of keep-outs, without their margins."""
+    kept = [one.capsules_mm[:, :4] for one in plane.instrument.bodies.keep_outs]
+    return np.vstack([np.zeros((0, 4)), *kept])
+
+
 def _pairs_of(plane: FocalPlane) -> Ints:
-    """(P, 2) rows of bodies that can meet: arms, and arms with fiducials."""
+    """(P, 2) rows of bodies that can meet: arms, and arms with fiducials and keep-outs."""
+    n, reach = len(plane), plane.body_reach_mm[:, None]
     gap = np.hypot(*np.moveaxis(plane.centres_mm[:, None] - plane.fiducials[None, :, :2], 2, 0))
-    i, j = np.nonzero(gap < plane.body_reach_mm[:, None] + plane.fiducials[None, :, 2])
+    i, j = np.nonzero(gap < reach + plane.fiducials[None, :, 2])
+    edges = _edges_mm(plane)
+    centre, lines = np.tile(plane.centres_mm, 2)[:, None], edges[None]
+    apart = segment_distance(
+        *(
+            np.ascontiguousarray(np.broadcast_to(one, (n, len(edges), 4)).reshape(-1, 4))
+            for one in (centre, lines)
+        )
+    )
+    a, b = np.nonzero(apart.reshape(n, len(edges)) < reach)
     arms = pairs_within(plane.centres_mm, plane.body_reach_mm, 0.0)
-    return np.vstack([arms, np.column_stack([i, j + len(plane)])])
+    edges_from = n + len(plane.fiducials)
+    return np.vstack([arms, np.column_stack([i, j + n]), np.column_stack([a, b + edges_from])])

@@ -28,10 +28,13 @@ from fiberloom.errors import InputError
 from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.steppers.array import CountPath, StepperArray
 from fiberloom.twin.steppers.bus import StepperBus
+from fiberloom.twin.steppers.interlocks import InterlockStop, StopKind
 from fiberloom.typing import Ints
 
 SEARCH_HZ = LEAST / SEGMENT_S
 """Of a datum search: the speed of a start."""
+FREE_BETA_STEPS, FREE_ALPHA_STEPS = 10, 11
+"""Of a command that frees an arm (ukatc/fpu_driver)."""
 
 
 @dataclass
@@ -40,6 +43,10 @@ class _Unit:
 
     state: MoonsState = MoonsState.UNINITIALISED
     segments: list[tuple[int, int]] = field(default_factory=list)
+    last: list[tuple[int, int]] = field(default_factory=list)
+    """The waveform that it has gone to its end, to be repeated or reversed."""
+    hit: InterlockStop | None = None
+    """What has stopped it, or will: until its protection is on again."""
 
 
 class MoonsBus(StepperBus):
@@ -47,6 +54,7 @@ class MoonsBus(StepperBus):
 
     def __init__(self, array: StepperArray) -> None:
         super().__init__(array)
+        array.interlocked()
         self.units = {address: _Unit() for address in self.row_of}
         self._readers = [PacketReader() for _ in range(GATEWAYS)]
         self._due: list[tuple[float, int, MoonsCommand]] = []
@@ -101,8 +109,14 @@ class MoonsBus(StepperBus):
             case MoonsCommand.COUNTER_DEVIATION:
                 slip = int(self.slip[row, 0]), int(self.slip[row, 1])
                 return MoonsAnswer(frame.data[0], command, 0, self._state(address), error, slip)
+            case MoonsCommand.REPEAT | MoonsCommand.REVERSE:
+                error = self._again(address, command)
+            case MoonsCommand.FREE_BETA | MoonsCommand.FREE_ALPHA:
+                error = self._free(address, command, clockwise=bool(frame.data[2]))
+            case MoonsCommand.PROTECT_BETA | MoonsCommand.PROTECT_ALPHA:
+                error = self._protect(address, command)
             case MoonsCommand.PING:
-                pass
+                error = self._trouble(address)
             case _:
                 error = MoonsError.INVALID
         return self._answer(address, frame.data[0], command, error)
@@ -128,11 +142,65 @@ class MoonsBus(StepperBus):
 
     def _state(self, address: int) -> MoonsState:
         unit, row = self.units[address], self.row_of[address]
+        if unit.hit is not None and unit.hit.time_s <= self.time_s + 1e-9:
+            return MoonsState.OBSTACLE
         if not self.homed[row].all() and unit.state is not MoonsState.DATUM_SEARCH:
             unit.state = MoonsState.UNINITIALISED
         elif unit.state is MoonsState.MOVING and not any(self.moving(row, axis) for axis in (0, 1)):
             unit.state = MoonsState.RESTING
         return unit.state
+
+    def _trouble(self, address: int) -> MoonsError:
+        """What a unit in the state of an obstacle has met."""
+        hit = self.units[address].hit
+        if hit is None or self._state(address) is not MoonsState.OBSTACLE:
+            return MoonsError.NONE
+        return MoonsError.LIMIT if hit.kind is StopKind.LIMIT else MoonsError.COLLISION
+
+    def _again(self, address: int, command: MoonsCommand) -> MoonsError:
+        """The last waveform once more, or back: it starts with the next start."""
+        unit = self.units[address]
+        may = MoonsState.RESTING, MoonsState.READY_FORWARD, MoonsState.READY_REVERSE
+        if self._state(address) not in may or not unit.last:
+            return MoonsError.NOT_READY
+        if command is MoonsCommand.REPEAT:
+            unit.segments, unit.state = list(unit.last), MoonsState.READY_FORWARD
+        else:
+            unit.segments = [(-alpha, -beta) for alpha, beta in reversed(unit.last)]
+            unit.state = MoonsState.READY_REVERSE
+        return MoonsError.NONE
+
+    def _free(self, address: int, command: MoonsCommand, *, clockwise: bool) -> MoonsError:
+        """An arm that has met something goes a few steps without its interlock."""
+        unit, row = self.units[address], self.row_of[address]
+        alpha = command is MoonsCommand.FREE_ALPHA
+        wanted = MoonsError.LIMIT if alpha else MoonsError.COLLISION
+        if self._trouble(address) is not wanted or self.moving(row, 0) or self.moving(row, 1):
+            return MoonsError.NOT_READY
+        way = np.zeros((1, 2), dtype=np.int64)
+        way[0, 0 if alpha else 1] = (-1 if clockwise else 1) * (
+            FREE_ALPHA_STEPS if alpha else FREE_BETA_STEPS
+        )
+        before = self.array.counts[[row]]
+        path = np.stack([before, before + way]).astype(np.float64)
+        time_s = np.array([[0.0], [np.abs(way).max() / SEARCH_HZ]])
+        self.busy_until_s[row] = self.time_s + self.array.go(
+            CountPath(np.array([row]), time_s, path), freeing=True
+        )
+        unit.last = []
+        return MoonsError.NONE
+
+    def _protect(self, address: int, command: MoonsCommand) -> MoonsError:
+        """The interlock on again: refused where the arm is still at what it has met."""
+        unit, row = self.units[address], self.row_of[address]
+        error = self._trouble(address)
+        if error is MoonsError.NONE:
+            return error
+        wanted = MoonsError.LIMIT if command is MoonsCommand.PROTECT_ALPHA else MoonsError.COLLISION
+        if error is not wanted or self.array.obstructed(row):
+            return error
+        unit.hit, unit.state = None, MoonsState.RESTING
+        return MoonsError.NONE
 
     def _load(self, address: int, frame: MoonsFrame) -> MoonsError:
         """A segment of a waveform; with the last one all are held against the rules."""
@@ -161,7 +229,8 @@ class MoonsBus(StepperBus):
     def _execute(self) -> None:
         """All that are told to, and hold a waveform, start."""
         armed, self._armed = self._armed, []
-        going = [a for a in armed if self._state(a) is MoonsState.READY_FORWARD]
+        ready = MoonsState.READY_FORWARD, MoonsState.READY_REVERSE
+        going = [a for a in dict.fromkeys(armed) if self._state(a) in ready]  # told twice, it starts once
         if not going:
             return
         rows = np.array([self.row_of[a] for a in going])
@@ -170,16 +239,31 @@ class MoonsBus(StepperBus):
         for k, address in enumerate(going):
             unit = self.units[address]
             steps[: len(unit.segments), k] = unit.segments
-            unit.state = MoonsState.MOVING
             end_s = self.time_s + SEGMENT_S * len(unit.segments)
             self.busy_until_s[rows[k]] = end_s
             self._due.append((end_s, address, MoonsCommand.MOTION_FINISHED))
-            unit.segments = []
+            if unit.state is MoonsState.READY_FORWARD:
+                unit.last = unit.segments
+            unit.segments, unit.state = [], MoonsState.MOVING
         counts = self.array.counts[rows] + np.concatenate(
             [np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)]
         )
         time_s = np.broadcast_to(SEGMENT_S * np.arange(length + 1.0)[:, None], (length + 1, len(going)))
         self.array.go(CountPath(rows, time_s, counts))
+        for stop in self.array.stops():
+            self._interrupt(stop)
+
+    def _interrupt(self, stop: InterlockStop) -> None:
+        """Units that will meet something on their way: they say so then, and not that they have ended."""
+        what = MoonsCommand.ALPHA_LIMIT if stop.kind is StopKind.LIMIT else MoonsCommand.BETA_COLLISION
+        for address in [a for a, row in self.row_of.items() if row in stop.rows]:
+            unit, row = self.units[address], self.row_of[address]
+            if unit.hit is not None:
+                continue
+            unit.hit, unit.last = stop, []
+            self.busy_until_s[row] = np.minimum(self.busy_until_s[row], stop.time_s)
+            self._due = [one for one in self._due if one[1:] != (address, MoonsCommand.MOTION_FINISHED)]
+            self._due.append((stop.time_s, address, what))
 
     def _search(self, addresses: list[int]) -> None:
         if not addresses:

@@ -14,6 +14,7 @@ from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.steppers import KnownUnits, StepperDrive, StepperLink
 from fiberloom.drive.steppers.bench import BenchSettings, calibrate_units
 from fiberloom.drive.steppers.drive import Maker
+from fiberloom.drive.steppers.kept import read_units
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane, Instrument
@@ -61,6 +62,7 @@ class StepperSource:
         self.plane, self.kind, self.seed = plane, kind, seed
         self.camera = "noise" if plane.instrument.camera is None else camera
         self.errors = TwinErrors.of(plane.instrument, errors)
+        self._known_file: Path | None = None
 
     @cached_property
     def units(self) -> StepperUnits:
@@ -69,7 +71,9 @@ class StepperSource:
 
     @cached_property
     def known(self) -> KnownUnits:
-        """What a bench finds of them."""
+        """What a bench finds of them, or has found before by the file of a calibration."""
+        if self._known_file is not None:
+            return read_units(self._known_file, self.plane)
         return calibrate_units(self.plane, _TwinBench(self.plane, self.units, self.seed + 1), self.kind.bench)
 
     @cached_property
@@ -116,8 +120,9 @@ class StepperSource:
         return None
 
     def know(self, file: Path) -> None:
-        """InputError for any `file`: the twin's bench is the twin's own."""
-        raise InputError(f"{file}: the twin has its own bench; leave out --calibration")
+        """Goes by the units of a `file` of `calibrate steppers`. InputError where it is none."""
+        read_units(file, self.plane)  # what is wrong with it is told now
+        self._known_file = file
 
     def keep(self, file: Path | None) -> None:
         """InputError for any `file`: steppers teach nothing that is kept."""
