@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from statistics import median
 from typing import Any
 
 from fiberloom.drive.sdssv import SdssvDrive
@@ -21,6 +20,7 @@ from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.night.clock import BusClock, NightClock
+from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
 from fiberloom.night.shutter import Shutter
@@ -404,8 +404,9 @@ class NightRunner:
         await beside(self._begin_exposing, visit.id)
         exposure = await beside(self.book.ask_exposure, visit.id, number, key, entry.exposure_s)
         self.held.lock.forbidden = "the shutter is open"
+        end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         await self.shutter.start(key, entry.exposure_s)
-        planning = asyncio.create_task(self._plan_ahead(visit, entry))
+        planning = asyncio.create_task(self._plan_ahead(visit, entry, end))
         try:
             await self._until_closed(key, exposure, entry.exposure_s)
             self.held.lock.forbidden = ""
@@ -434,13 +435,12 @@ class NightRunner:
     def _note_exposure(self, exposure: int, what: str, when: datetime) -> None:
         self.book.change_exposure(exposure, **{what: when})
 
-    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry) -> Ahead | None:
-        """Assigns and plans what comes after this exposure, from where all are: nothing moves meanwhile."""
+    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
+        """Assigns and plans what comes after this exposure, which will `end` then; nothing moves."""
         state = (await beside(self._state)).visits
         exposed = replace(state[-1], exposed=state[-1].exposed + 1)
         done = NightState((*state[:-1], exposed)).exposed(exposed.part) >= entry.exposures
         after = replace(exposed, state=VisitState.DONE) if done else exposed
-        end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         step = next_step(NightState((*state[:-1], after)), self.queue, end)
         if not isinstance(step, Position):
             return None
@@ -450,21 +450,10 @@ class NightRunner:
         return Ahead(made, await self._planned(made))
 
     def _until_ready(self, step: Position) -> timedelta:
-        """From the begin of a `step` to its first exposure, as it took in this night; else as the queue says.
-
-        A dither is quicker than a new field.
-        """
-        visits, first = self.book.visits(), {}
-        for exposure in reversed(self.book.exposures()):
-            first[exposure.visit_id] = exposure.utc_start
-        fields = ["", *(visit.field for visit in visits)]
-        dithered = bool(visits) and self.assigned is not None and self.assigned.step.field == step.field
-        took_s = [
-            (start - visit.utc_start).total_seconds()
-            for before, visit in zip(fields, visits, strict=False)
-            if (start := first.get(visit.id)) is not None and (before == visit.field) == dithered
-        ]
-        return timedelta(seconds=median(took_s) if took_s else self.queue.overhead_s)
+        """From the begin of a `step` to its first exposure, as it took before; else as the queue says."""
+        dithered = self.assigned is not None and self.assigned.step.field == step.field
+        known_s = learned_s(self.book, dithered)
+        return timedelta(seconds=self.queue.overhead_s if known_s is None else known_s)
 
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion
