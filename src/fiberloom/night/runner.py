@@ -19,6 +19,7 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
+from fiberloom.night.asked.orders import Orders
 from fiberloom.night.clock import BusClock, NightClock
 from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import FieldEntry
@@ -32,11 +33,13 @@ from fiberloom.night.step import (
     Expose,
     NightState,
     Park,
+    Pause,
     Position,
     Step,
     Visited,
     VisitState,
     Wait,
+    as_asked,
     field_states,
     next_step,
 )
@@ -74,6 +77,11 @@ RECOVERIES = 3
 """Of an array, in one night, before a person has to come."""
 
 
+PAUSE_LOOK_S = 1.0
+LONGEST_PAUSE_S = 86400.0
+DAWN_IN_PAUSE = "it is dawn, and the night is paused by {}: the array is not parked; go on, or park"
+
+
 class NightStoppedError(RuntimeError):
     """The night cannot go on without a person."""
 
@@ -100,7 +108,8 @@ class NightRunner:
         """`setup`: what it is made of; `book`: its record; `held`: the array; `hardware`: its bus and camera;
         `progress`: called with the name of each step."""
         self.setup, self.book, self.held, self.hardware = setup, book, held, hardware
-        self.queue = setup.read_queue()
+        self.queue = Orders.of(book.commands()).applied(setup.read_queue())
+        self.control = setup.control
         drive = setup.drive(hardware)
         self.clock: NightClock = setup.clock(drive, self.queue, last_time(book))
         self.shutter: Shutter = setup.shutter(setup, book, self.clock)
@@ -121,9 +130,15 @@ class NightRunner:
             state = await beside(self._state)
             step = next_step(state, self.queue, self.clock.now())
             await beside(self._note_fields, state)
+            step = as_asked(step, state, self.control.paused_by, self.control.parked_by)
             if isinstance(step, End):
                 return step.why
-            await self._take(step)
+            if isinstance(
+                step, (Position, Wait, Pause)
+            ):  # an exposure ends by itself: the shutter is another's
+                await self.control.run(self._take(step))
+            else:
+                await self._take(step)
 
     async def _take(self, step: Step) -> None:
         if isinstance(step, Position):
@@ -136,13 +151,15 @@ class NightRunner:
             await self._park()
         elif isinstance(step, Wait):
             await self._wait(step)
+        elif isinstance(step, Pause):
+            await self._pause(step)
 
     # what is known
 
     def _reread(self) -> None:
         """The queue as it is now; one that cannot be read is told, and the last good one is kept."""
         try:
-            self.queue = self.setup.read_queue()
+            self.queue = Orders.of(self.book.commands()).applied(self.setup.read_queue())
         except InputError as error:
             self._alarm(
                 "queue", Severity.MINOR, str(self.setup.queue_file), f"{error}; the last good one is used"
@@ -472,13 +489,28 @@ class NightRunner:
     def _close(self, step: Close) -> None:
         visit = self.book.visits()[-1]
         self._over(visit.id, step.state, step.why)
-        if step.why:
+        if step.why and step.state is not VisitState.INTERRUPTED:
             self._alarm("visit", Severity.MINOR, f"field {visit.field}", step.why)
 
     async def _wait(self, step: Wait) -> None:
         left_s = (step.until - self.clock.now()).total_seconds()
         stage = NightStage("wait", lambda: self.clock.sleep(min(left_s, MOST_WAIT_S)), 2.0 * MOST_WAIT_S)
         await self.stages.run(stage)
+
+    async def _pause(self, step: Pause) -> None:
+        """Until an operator lets it go on, also at dawn: a person may be at the instrument."""
+
+        async def waiting() -> None:
+            told = False
+            while self.control.paused_by:
+                await self.clock.sleep(PAUSE_LOOK_S)
+                if not told and self.clock.now() >= self.queue.dawn:
+                    told = True
+                    await beside(
+                        self._alarm, "paused", Severity.MAJOR, "night", DAWN_IN_PAUSE.format(step.who)
+                    )
+
+        await self.stages.run(NightStage("pause", waiting, LONGEST_PAUSE_S))
 
     async def _park(self) -> None:
         try:
