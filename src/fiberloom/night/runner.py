@@ -133,9 +133,7 @@ class NightRunner:
             step = as_asked(step, state, self.control.paused_by, self.control.parked_by)
             if isinstance(step, End):
                 return step.why
-            if isinstance(
-                step, (Position, Wait, Pause)
-            ):  # an exposure ends by itself: the shutter is another's
+            if isinstance(step, (Position, Wait, Pause)):  # no exposure: the shutter is another's
                 await self.control.run(self._take(step))
             else:
                 await self._take(step)
@@ -501,14 +499,12 @@ class NightRunner:
         """Until an operator lets it go on, also at dawn: a person may be at the instrument."""
 
         async def waiting() -> None:
-            told = False
+            told, text = False, DAWN_IN_PAUSE.format(step.who)
             while self.control.paused_by:
                 await self.clock.sleep(PAUSE_LOOK_S)
                 if not told and self.clock.now() >= self.queue.dawn:
                     told = True
-                    await beside(
-                        self._alarm, "paused", Severity.MAJOR, "night", DAWN_IN_PAUSE.format(step.who)
-                    )
+                    await beside(self._alarm, "paused", Severity.MAJOR, "night", text)
 
         await self.stages.run(NightStage("pause", waiting, LONGEST_PAUSE_S))
 
