@@ -31,7 +31,7 @@ def took(book: NightBook, dithered: bool) -> list[float]:
     """What each exposed visit of a night took, s; `dithered`: of dithers, else of new fields."""
     first = {exposure.visit_id: exposure.utc_start for exposure in reversed(book.exposures())}
     visits = book.visits()
-    kinds = [False, *(_goes_on(*pair) for pair in pairwise(visits))]
+    kinds = [False for _ in visits[:1]] + [_goes_on(*pair) for pair in pairwise(visits)]
     return [
         (start - visit.utc_start).total_seconds()
         for visit, kind in zip(visits, kinds, strict=True)

@@ -116,8 +116,11 @@ class ServedArray:
         asyncio.set_event_loop(self._loop)
         self._loop.run_forever()
 
-    def begin(self) -> None:
-        """Begins to serve: what the store knows is shown, and maps are made where there are none."""
+    def begin(self, calibrate: bool = True) -> None:
+        """Begins to serve: what the store knows is shown, and maps are made where there are none.
+
+        `calibrate`: at once; else with the first command.
+        """
         self.commands.abandon()
         self._show_exclusions()
         self._look_at_state()
@@ -126,7 +129,8 @@ class ServedArray:
         elif self.bus.startswith(TWIN):  # a twin of this process is folded at first
             self.live.place(self.field.plane.park_deg)
         self._thread.start()
-        self._begin("calibrate", Author("service", "engineer"), {}, self._calibrate)
+        if calibrate:
+            self._begin("calibrate", Author("service", "engineer"), {}, self._calibrate)
 
     def close(self) -> None:
         """Stops what moves, waits until it is at rest, and ends the thread."""
@@ -158,24 +162,24 @@ class ServedArray:
             seen = await self.field.observe(wanted, corrections, out=self.place, pages="none")
             return _told_of(seen)
 
-        return self._asked("observe", Deed.OBSERVE, author, asked, work, key)
+        return self.ask("observe", Deed.OBSERVE, author, asked, work, key)
 
     def park(self, author: Author, key: str = "") -> CommandRecord:
         """Begins to fold all. Busy where the array is not free."""
-        return self._asked("park", Deed.PARK, author, {}, self._in_session(lambda s: s.park()), key)
+        return self.ask("park", Deed.PARK, author, {}, self._in_session(lambda s: s.park()), key)
 
     def home(self, author: Author, positioners: Iterable[int] | None, key: str = "") -> CommandRecord:
         """Begins to search datums of these `positioners`, None: all; `author` and `key` for the record."""
         chosen = None if positioners is None else sorted(set(positioners))
         self._check_known(chosen or ())
         work = self._in_session(lambda s: s.home(chosen))
-        return self._asked("home", Deed.HOME, author, {"positioners": chosen}, work, key)
+        return self.ask("home", Deed.HOME, author, {"positioners": chosen}, work, key)
 
     def recover(self, author: Author, look_only: bool, key: str = "") -> CommandRecord:
         """Begins to take arms apart that touch, and unlocks; `look_only`: says what would be done;
         `author` and `key` for the record."""
         work = self._in_session(lambda s: s.recover(look_only))
-        return self._asked("recover", Deed.RECOVER, author, {"look": look_only}, work, key)
+        return self.ask("recover", Deed.RECOVER, author, {"look": look_only}, work, key)
 
     def exclude(
         self, author: Author, positioners: Iterable[int], why: str, until: datetime | None = None
@@ -272,7 +276,7 @@ class ServedArray:
 
     # how it is done
 
-    def _asked(
+    def ask(
         self,
         name: str,
         deed: Deed,
@@ -281,6 +285,11 @@ class ServedArray:
         work: Callable[[], Coroutine[Any, Any, str]],
         key: str,
     ) -> CommandRecord:
+        """Begins a command.
+
+        `name`: its own; `deed`: what the state of the array must allow; `author`, `asked` and `key`: for the
+        record; `work`: what it does, and tells at the end. Busy where the array is not free.
+        """
         if (before := self.commands.by_key(author.name, key)) is not None:
             return before
         try:

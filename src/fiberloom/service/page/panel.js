@@ -14,7 +14,7 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
   place.replaceChildren(...alarms.map((alarm) => {
     const on = alarm.gone === null;
     const row = element("div", "", `alarm ${alarm.severity}`);
-    row.dataset.id = alarm.id;
+    row.dataset.id = `${alarm.night ? "night-" : ""}${alarm.id}`;
     const subject = element("button", /^\d+$/.test(alarm.subject) ? `positioner ${alarm.subject}` : alarm.subject);
     subject.onclick = () => choose(Number(alarm.subject));
     subject.disabled = !/^\d+$/.test(alarm.subject);
@@ -31,7 +31,7 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
     if (alarm.acknowledged) row.append(element("span", `seen by ${alarm.acknowledged_by}`, "quiet"));
     else {
       const button = element("button", "acknowledge", "acknowledge");
-      button.onclick = () => acknowledge(alarm.id);
+      button.onclick = () => acknowledge(alarm);
       button.disabled = !may("operator");
       row.append(button);
     }

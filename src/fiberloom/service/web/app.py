@@ -18,7 +18,9 @@ from fiberloom.service.guard.tokens import Identity
 from fiberloom.service.guard.wall import COOKIE, Gate, Wall, cookie_of
 from fiberloom.service.logs import log_event
 from fiberloom.service.metrics import Metrics
+from fiberloom.service.night.served_night import ServedNight
 from fiberloom.service.web.asked import WhoAnswer
+from fiberloom.service.web.night_routes import night_routes
 from fiberloom.service.web.routes import REFUSALS, Viewer, routes
 from fiberloom.service.web.stream import serve_stream, show_pictures
 from fiberloom.service.web.target_root import TargetRoot
@@ -32,8 +34,10 @@ KINDS = {
 }
 
 
-def application(array: ServedArray, gate: Gate, root: TargetRoot) -> FastAPI:
-    """The service of an `array`, behind a `gate`, with target lists below a `root`. The array has begun."""
+def application(
+    array: ServedArray, gate: Gate, root: TargetRoot, night: ServedNight | None = None
+) -> FastAPI:
+    """The service of an `array`, behind a `gate`, with target lists below a `root`, and of its `night`."""
     metrics = Metrics(array)
     array.hub.listeners += [metrics.event, log_event]
 
@@ -48,7 +52,9 @@ def application(array: ServedArray, gate: Gate, root: TargetRoot) -> FastAPI:
         description="One array of fibre positioners: its state, its commands.",
     )  # fmt: skip
     app.add_middleware(Wall, gate=gate)
-    app.include_router(routes(array, root))
+    app.include_router(routes(array, root, night))
+    if night is not None:
+        app.include_router(night_routes(night, root))
     _errors(app)
     _logins(app, gate)
     _page(app)
