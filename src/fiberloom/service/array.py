@@ -27,6 +27,7 @@ from fiberloom.operation.session.session import KnownArray, Session, SessionRepo
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
 from fiberloom.operation.session.stopping import Stopper
 from fiberloom.service.alarms.board import CAMERA, AlarmBoard
+from fiberloom.service.cutout import cutout_png
 from fiberloom.service.health import HealthFollower
 from fiberloom.service.hub import Hub
 from fiberloom.service.live import Live
@@ -34,7 +35,7 @@ from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.place import NUMBERED, Place
 from fiberloom.store.service.alarms import Alarm, AlarmTable
 from fiberloom.store.service.commands import CommandBook, CommandRecord, CommandResult
-from fiberloom.store.service.history import positioner_history
+from fiberloom.store.service.history import nights_of, positioner_history
 from fiberloom.targets import read_targets
 
 EXPECTED = (InputError, CameraError, UnsafePlanError, TransportLost, OSError)
@@ -237,7 +238,7 @@ class ServedArray:
     def history(self, positioner_id: int) -> dict[str, Any]:
         """What is on record of one positioner, and what health says. InputError for one that there is not."""
         self._check_known([positioner_id])
-        found: dict[str, Any] = {"measurements": [], "events": []}
+        found: dict[str, Any] = {"measurements": [], "events": [], "alarms": []}
         if self.place.store.exists():
             from fiberloom.store import Store
 
@@ -248,10 +249,20 @@ class ServedArray:
         return {
             "positioner_id": positioner_id,
             "health": self.health.of(positioner_id),
-            "exclusions": [_exclusion_row(e) for e in mine],
             "place": {"how": known.how[0], "datum": bool(known.datum[0])},
             **found,
+            "nights": nights_of(found["measurements"]),
+            "exclusions": [_exclusion_row(e) for e in mine],
+            "image": self.live.cutout(0) is not None,
         }
+
+    def cutout(self, positioner_id: int) -> bytes:
+        """The last image around the metrology fibre of one, a PNG; InputError where there is none."""
+        self._check_known([positioner_id])
+        row = int(self.field.plane.index_of([positioner_id])[0])
+        if (found := self.live.cutout(row)) is None:
+            raise InputError("no image yet: the next command takes one, with a camera that takes images")
+        return cutout_png(found[0], row, found[1])
 
     def exclusions(self) -> list[dict[str, Any]]:
         """Those in force."""

@@ -100,7 +100,7 @@ const EVENTS = {
     model.from = null;
     words();
   },
-  move: (event) => { model.seen = event; },
+  move: (event) => { model.seen = event; refreshChosen(); },
   states: ({ states }) => { model.states = Uint8Array.from(states); },
   alarms: ({ alarms }) => { model.alarms = alarms; },
   exclusions: ({ exclusions }) => { model.exclusions = exclusions; refreshChosen(); },
@@ -214,7 +214,7 @@ async function chosenKnown() {
   if (chosen < 0) return;
   const id = plane.positioner_id[chosen], known = await get(`/api/v1/positioners/${id}`);
   if (model.chosen !== chosen) return;
-  const live = { hole: plane.hole[chosen], state: plane.states[model.states[chosen]].replace("_", " "),
+  const live = { seen: model.seen?.utc ?? 0, hole: plane.hole[chosen], state: plane.states[model.states[chosen]].replace("_", " "),
     alpha: finite(plane.angles[chosen]), beta: finite(plane.angles[plane.n + chosen]) };
   showPositioner($("positioner"), known, live, (excluded) => {
     const button = element("button", excluded ? "include" : "exclude …", "exclude");

@@ -152,6 +152,16 @@ def _known(router: APIRouter, array: ServedArray, night: ServedNight | None) -> 
         """What is on record of one positioner: measurements, events, exclusions, and health's verdict."""
         return array.history(positioner_id)
 
+    @router.get(
+        "/v1/positioners/{positioner_id}/image",
+        responses={200: {"content": {"image/png": {}}}},
+        response_class=Response,
+    )
+    def image(positioner_id: PositionerPath, _: Viewer) -> Response:
+        """The last image around the metrology fibre of one positioner: a cross at its measured centroid, a
+        ring at its goal."""
+        return Response(array.cutout(positioner_id), media_type="image/png")
+
     @router.get("/v1/commands")
     def commands(_: Viewer) -> list[CommandAnswer]:
         """The last commands with their authors, the newest first."""
