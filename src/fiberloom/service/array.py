@@ -31,7 +31,7 @@ from fiberloom.service.cutout import cutout_png
 from fiberloom.service.health import HealthFollower
 from fiberloom.service.hub import Hub
 from fiberloom.service.live import Live
-from fiberloom.store.arrays import ArrayBook
+from fiberloom.store.arrays import ArrayBook, ArrayState
 from fiberloom.store.place import NUMBERED, Place
 from fiberloom.store.service.alarms import Alarm, AlarmTable
 from fiberloom.store.service.commands import CommandBook, CommandRecord, CommandResult
@@ -107,6 +107,7 @@ class ServedArray:
         arrayed.keep = self._keep
         self._lock = threading.Lock()
         self._running: RunningCommand | None = None
+        self._seen: tuple[str, str, str, bool] | None = None
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="fiberloom-array", daemon=True)
 
@@ -392,15 +393,29 @@ class ServedArray:
     def _cancel(self, running: RunningCommand, author: str) -> None:
         running.stopped_by = running.stopped_by or author
         if (task := running.task) is not None:
-            self._loop.call_soon_threadsafe(task.cancel)
+            self._loop.call_soon_threadsafe(task.cancel, f"stopped by {running.stopped_by}")
+
+    def look(self) -> ArrayState:
+        """The state of the array as the store has it; what has changed since the last look is told.
+
+        One that is locked, or whose owner is gone, is an alarm. InputError where the store cannot be read.
+        """
+        row = self.book.state()
+        if (seen := (row.state, row.text, row.owner, row.stale)) != self._seen:
+            self._seen = seen
+            self._look_at_state()
+        return row
 
     def _look_at_state(self) -> None:
-        """Publishes the state of the array; one that is locked is an alarm."""
-        now = self.state()
-        if now["state"] == SessionState.LOCKED:
-            self.alarms.raise_("collision", "array", now["text"])
-        else:
-            self.alarms.clear("collision", "array")
+        """Publishes the state of the array; one that is locked, or whose owner is gone, is an alarm."""
+        now, row = self.state(), self.book.state()
+        gone = f"{row.owner} is gone; the array was {row.state}" if row.stale else ""
+        locked = now["text"] if now["state"] == SessionState.LOCKED else None
+        for code, text in (("collision", locked), ("owner", gone or None)):
+            if text is None:
+                self.alarms.clear(code, "array")
+            else:
+                self.alarms.raise_(code, "array", text or "arms have touched")
         self.hub.publish("array", now)
 
     def _propose(self) -> None:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from PIL import Image, ImageDraw
 
-from fiberloom.metrology.stamps import Stamps
+from fiberloom.service.stamps import Stamps
 from fiberloom.typing import Array, Floats
 
 ZOOM = 8

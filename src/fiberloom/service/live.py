@@ -21,10 +21,10 @@ from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
 from fiberloom.metrology.pipeline import Reduction
-from fiberloom.metrology.stamps import Stamps
 from fiberloom.operation.move import Goals, Move
 from fiberloom.operation.session.witness import BegunMove
 from fiberloom.planning import Plan
+from fiberloom.service.stamps import Stamps
 from fiberloom.typing import Array, Flags, Floats
 from fiberloom.units import UM_PER_MM
 

@@ -17,6 +17,7 @@ from fiberloom.errors import InputError
 if TYPE_CHECKING:
     from fiberloom.field import Field
     from fiberloom.night.queue import QueueArray
+    from fiberloom.observatory.interfaces import Interfaces
     from fiberloom.service.array import ServedArray
     from fiberloom.service.guard.wall import Gate
     from fiberloom.service.night.served_night import ServedNight
@@ -50,6 +51,13 @@ class ServeOptions(BusOptions, ErrorsOptions, PlaneOptions):
         float,
         typer.Option(min=0.01, max=1000.0, help="As --speed, while a shutter is open or the night waits."),
     ] = 30.0
+    opcua: Annotated[str, typer.Option(help="HOST[:PORT]: the array as an OPC UA server too; loopback.")] = ""
+    epics: Annotated[str, typer.Option(help="Prefix of records: the array as an EPICS IOC too.")] = ""
+    epics_listen: Annotated[str, typer.Option(help="HOST[:PORT] of Channel Access; loopback.")] = "127.0.0.1"
+    trusted_network: Annotated[
+        bool,
+        typer.Option("--trusted-network", help="OPC UA and EPICS may listen beyond loopback: no passwords."),
+    ] = False
     out: Annotated[Path, typer.Option(help="Folder of the record, the log and the target lists.")] = Path(
         "runs/serve"
     )
@@ -87,6 +95,7 @@ def serve(options: ServeOptions) -> None:
     from fiberloom.service.web.target_root import TargetRoot
 
     at, gate = listening(options)
+    shown = interfaces(options)
     ways = [by_webhook(options.alarm_webhook)] if options.alarm_webhook else []
     ways += [by_command(options.alarm_command)] if options.alarm_command else []
     sock = at.bound()
@@ -95,8 +104,11 @@ def serve(options: ServeOptions) -> None:
     night = served_night(options, array)
     sender, log = AlarmSender(ways), log_to(options.out / "serve.log")
     array.sender = sender.send
-    app = application(array, gate, TargetRoot(options.targets or options.out / "targets"), night)
+    root = TargetRoot(options.targets or options.out / "targets")
+    app = application(array, gate, root, night, shown)
     typer.echo(f"{at.url}  ({len(field.plane)} positioners; Ctrl-C ends)")
+    for line in shown.told():
+        typer.echo(line)
     try:
         run(app, array, at, sock, lambda: begin(options, array, night))
     finally:
@@ -115,6 +127,20 @@ def begin(options: ServeOptions, array: ServedArray, night: ServedNight | None) 
     if night is not None:
         night.start()
         night.begin(Author(operator(), "engineer"), options.resume)
+
+
+def interfaces(options: ServeOptions) -> Interfaces:
+    """Of an observatory. InputError where an address cannot be, or a package is missing."""
+    from fiberloom.observatory.epics import DEFAULT_PORT as CA_PORT
+    from fiberloom.observatory.interfaces import Interfaces
+    from fiberloom.observatory.network import Endpoint
+    from fiberloom.observatory.opcua import DEFAULT_PORT
+
+    opcua = Endpoint.parse(options.opcua, DEFAULT_PORT, options.trusted_network) if options.opcua else None
+    epics = Endpoint.parse(options.epics_listen, CA_PORT, options.trusted_network) if options.epics else None
+    wanted = Interfaces(opcua, options.epics, epics)
+    wanted.require()
+    return wanted
 
 
 def served_night(options: ServeOptions, array: ServedArray) -> ServedNight | None:

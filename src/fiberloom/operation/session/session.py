@@ -144,8 +144,9 @@ class Session:
         try:
             yield held
             await beside(held.settle)
-        except asyncio.CancelledError:
-            await beside(held.leave, Step.STOP, why[0] if why else "stopped by the operator")
+        except asyncio.CancelledError as error:
+            asked = why[0] if why else str(error) or "stopped by the operator"
+            await beside(held.leave, Step.STOP, asked)
             if why:
                 raise StoppedError(f"{why[0]}; what was measured is kept") from None
             raise

@@ -29,6 +29,7 @@ from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, nights
 from fiberloom.store.run import FAILED, FINISHED
+from fiberloom.store.service.alarms import Alarm
 from fiberloom.store.service.commands import CommandBook, CommandRecord, CommandResult
 
 LOOK_S = 2.0
@@ -134,10 +135,15 @@ class ServedNight:
     def acknowledge(self, author: Author, alarm: int) -> None:
         """The author knows of an alarm of the night. InputError where none is open with this number."""
         book = self._book()
-        if book is None or alarm not in {a.id for a in open_alarms(book)}:
+        if book is None or alarm not in {a.id for a in self.alarms()}:
             raise InputError(f"alarm {alarm}: the night has none that is open")
         book.acknowledge(alarm, datetime.now(UTC), author.name)
         self._news.set()
+
+    def alarms(self) -> list[Alarm]:
+        """Of the night, those that nobody has acknowledged, the worst first."""
+        book = self._book()
+        return [] if book is None else open_alarms(book)
 
     def view(self) -> dict[str, Any]:
         """The night as it is shown; before the first one the queue alone."""
@@ -216,8 +222,7 @@ class ServedNight:
 
     def _send(self) -> None:
         """Tells people outside of alarms that are new."""
-        book = self._book()
-        for alarm in () if book is None else open_alarms(book):
+        for alarm in self.alarms():
             if alarm.id not in self._sent:
                 self._sent.add(alarm.id)
                 self.array.sender(alarm)

@@ -13,12 +13,14 @@ from fastapi.responses import JSONResponse
 from starlette.websockets import WebSocket
 
 from fiberloom.errors import InputError
+from fiberloom.observatory.interfaces import Interfaces
 from fiberloom.service.array import Busy, ServedArray
 from fiberloom.service.guard.tokens import Identity
 from fiberloom.service.guard.wall import COOKIE, Gate, Wall, cookie_of
 from fiberloom.service.logs import log_event
 from fiberloom.service.metrics import Metrics
 from fiberloom.service.night.served_night import ServedNight
+from fiberloom.service.port import ServedPort
 from fiberloom.service.web.asked import WhoAnswer
 from fiberloom.service.web.night_routes import night_routes
 from fiberloom.service.web.routes import REFUSALS, Viewer, routes
@@ -35,16 +37,24 @@ KINDS = {
 
 
 def application(
-    array: ServedArray, gate: Gate, root: TargetRoot, night: ServedNight | None = None
+    array: ServedArray,
+    gate: Gate,
+    root: TargetRoot,
+    night: ServedNight | None = None,
+    interfaces: Interfaces | None = None,
 ) -> FastAPI:
-    """The service of an `array`, behind a `gate`, with target lists below a `root`, and of its `night`."""
+    """The service of an `array`, behind a `gate`, with target lists below a `root`, and of its `night`.
+
+    `interfaces`: of an observatory, which show the same array.
+    """
     metrics = Metrics(array)
     array.hub.listeners += [metrics.event, log_event]
 
     @asynccontextmanager
     async def alive(_: FastAPI) -> AsyncIterator[None]:
         pictures = asyncio.create_task(show_pictures(array.hub, array.live, metrics))
-        yield
+        async with (interfaces or Interfaces()).shown(ServedPort(array, root, night)):
+            yield
         pictures.cancel()
 
     app = FastAPI(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fiberloom.metrology.stamps import HALF_PX, Stamps
 from fiberloom.service.cutout import CENTROID, GOAL, ZOOM, cutout_png, stretched
+from fiberloom.service.stamps import HALF_PX, Stamps
 
 SIZE = 100
 SPOTS = np.array([[40.3, 60.8], [2.0, 97.6]])
