@@ -74,12 +74,19 @@ SHUTTER_SLACK_S = 60.0
 """By which an exposure may last longer than it should."""
 
 RECOVERIES = 3
-"""Of an array, in one night, before a person has to come."""
+"""Of an array, one after the other, before a person has to come."""
 
 
 PAUSE_LOOK_S = 1.0
 LONGEST_PAUSE_S = 86400.0
 DAWN_IN_PAUSE = "it is dawn, and the night is paused by {}: the array is not parked; go on, or park"
+
+
+POSITIONER, LEFT_OUT = "positioner ", "left out"
+APART = "a collision: the arms were moved apart, and folded"
+MOST_COLLISIONS = 2
+"""Of one positioner, in one night, before it is left where it is."""
+STAYS = "has collided twice: it stays where it is for this night; look at it, then exclude it or home it"
 
 
 class NightStoppedError(RuntimeError):
@@ -121,6 +128,9 @@ class NightRunner:
         """Of the last place whose fibres were on target."""
         self.parked = False
         self.recoveries = 0
+        self.left_out: set[int] = set()
+        """Positioners that stay where they are for the rest of the night."""
+        self._leave_out()
 
     async def run(self) -> str:
         """Carries out the queue; returns why the night is over."""
@@ -234,7 +244,10 @@ class NightRunner:
             await beside(self._over, visit, VisitState.INTERRUPTED, "stopped")
             raise
         await beside(self._ready, visit, step, seen[-1], ahead)
-        await self._settled()
+        if await self._settled():  # the fibres are off target by now
+            await beside(self._over, visit, VisitState.INTERRUPTED, APART)
+        else:
+            self.recoveries = 0
 
     def _begin_visit(self, step: Position) -> int:
         attempt = 1 + sum(v.part == step.part for v in self._state().visits)
@@ -348,13 +361,17 @@ class NightRunner:
     def _over(self, visit: int, state: VisitState, note: str) -> None:
         self.book.change_visit(visit, state=state.value, utc_end=self.clock.now(), note=note)
 
-    async def _settled(self) -> None:
-        """The array is at rest; where arms touch they are moved apart, three times in a night at most."""
+    async def _settled(self) -> bool:
+        """The array is at rest; where arms touch they are moved apart, three times in a row at most.
+
+        Whether they were.
+        """
         await beside(self.held.settle)
+        before = self.recoveries
         while self.held.lock.state is SessionState.LOCKED:
             self.recoveries += 1
             why = self.held.lock.text
-            await beside(self._alarm, "collision", Severity.CRITICAL, "array", why)
+            await beside(self._note_collision, why)
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
             stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
@@ -363,6 +380,25 @@ class NightRunner:
             except FAILURES as error:
                 await beside(self.held.leave, ArrayStep.LOSE, reason(error))
             await beside(self.held.settle)
+        await beside(self._leave_out)
+        return self.recoveries > before
+
+    def _note_collision(self, why: str) -> None:
+        subjects = [f"{POSITIONER}{number}" for number in self.held.collided] or ["array"]
+        for subject in subjects:
+            self._alarm("collision", Severity.CRITICAL, subject, why)
+
+    def _leave_out(self) -> None:
+        """Who has collided twice stays where it is for the rest of the night, also where it is resumed."""
+        alarms = [a for a in self.book.alarms() if a.subject.startswith(POSITIONER)]
+        told = {a.subject for a in alarms if a.code == LEFT_OUT}
+        now = {a.subject for a in alarms if a.code == "collision" and a.count >= MOST_COLLISIONS}
+        for subject in sorted(now - told):
+            self._alarm(LEFT_OUT, Severity.MAJOR, subject, STAYS)
+        numbers = {int(subject.removeprefix(POSITIONER)) for subject in now | told}
+        if numbers - self.left_out:
+            self.left_out, self.ahead, self.assigned = numbers, None, None
+            self.setup.known.plane = self.setup.array.excluded_plane({*self.setup.exclude, *numbers})
 
     async def _recover(self) -> None:
         async with self._plain_motion() as motion:

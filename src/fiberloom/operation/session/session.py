@@ -267,6 +267,11 @@ class HeldArray:
         self._motion.witness = witness
         return self._motion
 
+    @property
+    def collided(self) -> list[int]:
+        """Positioners of the last motion that have collided."""
+        return [] if self._motion is None else self._motion.collided
+
     def settle(self) -> None:
         """The command has ended by itself; a state that says already how stays."""
         motion = self._motion
