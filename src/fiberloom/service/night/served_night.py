@@ -151,7 +151,7 @@ class ServedNight:
         if runner is None:
             return {"queue": self.queue_file.name, "goes_on": self.goes_on, "resume": self.can_resume()}
         rate = 1.0 if self.pace is None else self.pace.source.speed
-        told = night_view(runner, rate, self.goes_on)
+        told = night_view(runner, self._shown_queue(runner), rate, self.goes_on)
         return told | {"queue": self.queue_file.name, "resume": self.can_resume()}
 
     # how it is done
@@ -166,6 +166,13 @@ class ServedNight:
     def _queue(self, runner: NightRunner) -> Queue:
         """As the night will have it with its next step."""
         return Orders.of(runner.book.commands()).applied(read_queue(self.queue_file))
+
+    def _shown_queue(self, runner: NightRunner) -> Queue:
+        """The same; where its file cannot be read, the last good one."""
+        try:
+            return self._queue(runner)
+        except InputError:
+            return runner.queue
 
     async def _carry(self, resume: bool) -> str:
         array, field = self.array, self.array.field

@@ -21,12 +21,13 @@ OF_THE_ARRAY = ("alarm", "collision", "camera")
 """Alarms that the array itself has too."""
 
 
-def night_view(runner: NightRunner, rate: float, goes_on: bool) -> dict[str, Any]:
+def night_view(runner: NightRunner, queue: Queue, rate: float, goes_on: bool) -> dict[str, Any]:
     """All that is shown of a night, as JSON can hold it. Times in s since 1970, by the night's clock.
 
-    `rate`: seconds of that clock a second; `goes_on`: it is carried out now.
+    `runner`: carries it out; `queue`: as its next step will have it; `rate`: seconds of that clock a second;
+    `goes_on`: it is carried out now.
     """
-    book, queue, now, control = runner.book, runner.queue, runner.clock.now(), runner.control
+    book, now, control = runner.book, runner.clock.now(), runner.control
     visits, about = book.visits(), book.about
     return {
         "id": about.id,
