@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
 import resource
 import sys
 import tempfile
@@ -85,14 +86,15 @@ def drawn_faults(seed: int, ids: np.ndarray[Any, Any], number: int, night_s: flo
 
 
 def write_queue(folder: Path, plane: fl.FocalPlane, asked: argparse.Namespace) -> None:
-    """The fields, each with a list of its own."""
-    repeats = 1 if not asked.hours else 100
+    """The fields, each with a list of its own; with hours they come again, under other names, until dawn."""
+    number = math.ceil(3600.0 * asked.hours / asked.exposure) or asked.fields
     dawn = BEGIN + timedelta(hours=asked.hours or 24)
     lines = [f"begin = {BEGIN:%Y-%m-%dT%H:%M:%SZ}", f"dawn = {dawn:%Y-%m-%dT%H:%M:%SZ}", "attempts = 20"]
     for k in range(asked.fields):
         write_targets(random_targets(plane, 8 * len(plane), asked.seed + k), folder / f"f{k}.csv")
-        lines += ["[[field]]", f'id = "f{k}"', f'targets = "f{k}.csv"', f"exposure_s = {asked.exposure}"]
-        lines += [f"repeats = {repeats}"]
+    for k in range(number):
+        lines += ["[[field]]", f'id = "f{k}"', f'targets = "f{k % asked.fields}.csv"']
+        lines += [f"exposure_s = {asked.exposure}"]
     (folder / "queue.toml").write_text("\n".join(lines) + "\n")
 
 
