@@ -7,7 +7,7 @@ import pytest
 from nights import Night
 
 from fiberloom.errors import InputError
-from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, Orders, new_field, require_field
+from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, QueueOrders, new_field, require_field
 from fiberloom.night.foresee import Overheads, foresee
 from fiberloom.night.queue import Queue
 from fiberloom.night.step import Close, End, Expose, NightState, Park, Pause, Visited, VisitState, as_asked
@@ -43,7 +43,7 @@ def said(command, result=CommandResult.DONE, **asked):
 def test_orders_change_the_queue_and_those_that_were_refused_do_not(tmp_path):
     (tmp_path / "n.csv").write_text("")
     new = {"id": "new", "targets": str(tmp_path / "n.csv"), "exposure_s": 5}
-    orders = Orders.of(
+    orders = QueueOrders.of(
         [
             said(SKIP, field="a"),
             said(PRIORITY, field="b", priority=7.0),

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from fiberloom.errors import InputError
-from fiberloom.night.asked.orders import Orders
+from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.overhead import learned_s
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -126,7 +126,7 @@ def test_orders_to_a_night_and_a_positioners_alarms_come_back(book):
     commands.end(number, CommandResult.DONE)
     refused = commands.begin("bob", "operator", "skip", {"field": "b"}, night=book.id)
     commands.end(refused, CommandResult.REFUSED, "no such field")
-    assert Orders.of(book.commands()).skipped == {"a": "by ann"}
+    assert QueueOrders.of(book.commands()).skipped == {"a": "by ann"}
     book.raise_alarm(after(1), "collision", Severity.CRITICAL, "positioner 4", "it has collided")
     found = positioner_history(book.store, 4)
     assert [(a["code"], a["night_id"]) for a in found["alarms"]] == [("collision", book.id)]

@@ -20,14 +20,14 @@ def learned_s(book: NightBook, dithered: bool) -> float | None:
     `book`: of the night; `dithered`: from one place of a field to its next one. The median of this night.
     Before its first dither: as the steps say. Before its first new field: of the last night of this array.
     """
-    if took_s := took(book, dithered):
-        return median(took_s)
+    if found_s := took_s(book, dithered):
+        return median(found_s)
     if dithered:
         return _by_steps_s(book)
     return next((median(before) for before in _nights_before(book) if before), None)
 
 
-def took(book: NightBook, dithered: bool) -> list[float]:
+def took_s(book: NightBook, dithered: bool) -> list[float]:
     """What each exposed visit of a night took, s; `dithered`: of dithers, else of new fields."""
     first = {exposure.visit_id: exposure.utc_start for exposure in reversed(book.exposures())}
     visits = book.visits()
@@ -49,7 +49,7 @@ def _nights_before(book: NightBook) -> Iterator[list[float]]:
     layout = book.about.config_hash
     for night in reversed(nights(book.store)):
         if night.id < book.id and night.config_hash == layout:
-            yield took(NightBook(book.store, night.id), dithered=False)
+            yield took_s(NightBook(book.store, night.id), dithered=False)
 
 
 def _by_steps_s(book: NightBook) -> float | None:

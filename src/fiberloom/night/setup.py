@@ -129,7 +129,7 @@ class NightSetup:
     # fields
 
     def targets(self, entry: FieldEntry, dither: int, begin: datetime, done: int = 0) -> TargetList:
-        """Targets of a field, moved by one of its dithers; mm. InputError names the file.
+        """Targets of the field of an `entry`, moved by its `dither`; mm. InputError names the file.
 
         Of a field on the sky: for the middle of the exposures of one place, which `begin` then; so many of
         them are `done`.

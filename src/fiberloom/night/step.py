@@ -33,7 +33,7 @@ OVER = frozenset({VisitState.DONE, VisitState.FAILED, VisitState.INTERRUPTED})
 
 
 @dataclass(frozen=True)
-class Part:
+class FieldPart:
     """A place of a field, in one of its repeats."""
 
     field: str
@@ -47,7 +47,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Visited(Part):
+class Visited(FieldPart):
     """A visit as far as it has come."""
 
     state: VisitState
@@ -80,7 +80,7 @@ class NightState:
 
 
 @dataclass(frozen=True)
-class Position(Part):
+class Position(FieldPart):
     """Put the fibres on a place of a field."""
 
 

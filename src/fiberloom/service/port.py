@@ -14,7 +14,7 @@ from fiberloom.store.arrays import ArrayState
 from fiberloom.store.service.alarms import Alarm, Severity
 
 ROLE = "engineer"
-"""Of whoever reaches these interfaces: they have no passwords."""
+"""Of every program that reaches these interfaces: they have no passwords."""
 
 
 class ServedPort:
@@ -40,7 +40,7 @@ class ServedPort:
         return ArrayView(address, str(_seen(row)), row.text, row.owner, command, n, excluded, alarms)
 
     def _alarms(self) -> tuple[ArrayAlarm, ...]:
-        """Those whose cause is there, the worst first; of the night those that nobody has acknowledged."""
+        """Those whose cause is there, the worst first; of the night those that are not acknowledged."""
         found = [a for a in self._array.alarms.open() if a.gone is None]
         found += [] if self._night is None else self._night.alarms()
         return tuple(sorted(map(_alarm, found), key=lambda alarm: alarm.severity.rank))

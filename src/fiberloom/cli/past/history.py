@@ -12,7 +12,7 @@ from fiberloom.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class HistoryOptions(JsonOptions):
+class PositionerHistoryOptions(JsonOptions):
     """Of `fiberloom history`."""
 
     positioner: Annotated[int, typer.Argument(min=0, help="Number of the positioner.")]
@@ -22,7 +22,7 @@ class HistoryOptions(JsonOptions):
     most: Annotated[int, typer.Option(min=1, max=100_000, help="Of each kind, from each store.")] = 50
 
 
-def history(options: HistoryOptions) -> None:
+def history(options: PositionerHistoryOptions) -> None:
     """Tell what is on record of one positioner: measurements, events, exclusions, alarms."""
     from fiberloom.store import Store
     from fiberloom.store.find import stores_below

@@ -19,7 +19,7 @@ SKIP, PRIORITY, ADD = "skip", "priority", "add field"
 
 
 @dataclass
-class Orders:
+class QueueOrders:
     """Changes of a queue, by the id of a field."""
 
     skipped: dict[str, str] = field(default_factory=dict)
@@ -28,7 +28,7 @@ class Orders:
     added: dict[str, FieldEntry] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, commands: Iterable[CommandRecord]) -> Orders:
+    def of(cls, commands: Iterable[CommandRecord]) -> QueueOrders:
         """Of the commands of a night on record, in their order; those that were refused change nothing."""
         orders = cls()
         for command in commands:

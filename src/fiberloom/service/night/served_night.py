@@ -13,7 +13,7 @@ from typing import Any
 from fiberloom.connect import TWIN
 from fiberloom.errors import InputError, one_line
 from fiberloom.night.asked.control import NightControl
-from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, Orders, new_field, require_field
+from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, QueueOrders, new_field, require_field
 from fiberloom.night.carry import NightEnd, carry_out
 from fiberloom.night.queue import Queue, read_queue
 from fiberloom.night.report import write_report
@@ -123,7 +123,10 @@ class ServedNight:
             require_field(self._queue(runner), field)
 
     def set_priority(self, author: Author, field: str, priority: float) -> None:
-        """Moves a `field` in the queue: higher first. InputError where there is none; `author`: who asks."""
+        """Moves a `field` in the queue. InputError where there is none.
+
+        `author`: who asks; `priority`: a ratio, higher first.
+        """
         with self._recorded(PRIORITY, author, {"field": field, "priority": priority}) as runner:
             require_field(self._queue(runner), field)
 
@@ -141,7 +144,7 @@ class ServedNight:
         self._news.set()
 
     def alarms(self) -> list[Alarm]:
-        """Of the night, those that nobody has acknowledged, the worst first."""
+        """Of the night, those that are not acknowledged, the worst first."""
         book = self._book()
         return [] if book is None else open_alarms(book)
 
@@ -165,7 +168,7 @@ class ServedNight:
 
     def _queue(self, runner: NightRunner) -> Queue:
         """As the night will have it with its next step."""
-        return Orders.of(runner.book.commands()).applied(read_queue(self.queue_file))
+        return QueueOrders.of(runner.book.commands()).applied(read_queue(self.queue_file))
 
     def _shown_queue(self, runner: NightRunner) -> Queue:
         """The same; where its file cannot be read, the last good one."""

@@ -50,7 +50,7 @@ def night_view(runner: NightRunner, queue: Queue, rate: float, goes_on: bool) ->
 
 
 def open_alarms(book: NightBook) -> list[Alarm]:
-    """Of a night, those that nobody has acknowledged, the worst first; without those of the array itself."""
+    """Of a night, those that are not acknowledged, the worst first; without those of the array itself."""
     found = [a for a in book.alarms() if a.acknowledged is None and a.code not in OF_THE_ARRAY]
     return sorted(found, key=lambda a: (Severity(a.severity).rank, -a.last.timestamp()))[:MOST_ALARMS]
 
