@@ -19,7 +19,7 @@ PROGRESS := $(PYTHON) tools/setup/progress.py
 export FIBERLOOM_CACHE := $(CURDIR)/.cache
 
 .PHONY: help setup run test jaeger test-jaeger check sanitized races bench campaign campaign-faults campaign-planning identification kaiju
-.PHONY: reproduce firmware-report wheels docs tutorial lint format inplace stubs lock clean figures coverage mutate
+.PHONY: reproduce firmware-report wheels docs tutorial lint audit format inplace stubs lock clean figures coverage mutate
 
 help:
 	@echo "make run      set up, calibrate arms, fibres and sag of 500 positioners of the twin (kept), observe a field"
@@ -248,6 +248,12 @@ lock:
 	    --extra epics --extra postgres --python-version 3.11 \
 	    --generate-hashes --no-header --no-annotate $(UPGRADE) --output-file constraints.txt
 	@cat build/constraints.head constraints.txt > build/constraints.new && mv build/constraints.new constraints.txt
+
+# Known vulnerabilities of what constraints.txt pins. Needs pip-audit and the network; nothing is asked at run time.
+audit:
+	@command -v pip-audit > /dev/null || { echo "audit: pip-audit is not installed (pip install pip-audit); nothing was checked"; exit 1; }
+	@pip-audit --disable-pip --require-hashes -r constraints.txt || \
+	    { echo "audit: something was found, or the advisories could not be asked; see above"; exit 1; }
 
 inplace:
 	cmake -S . -B build/inplace -G Ninja -DFIBERLOOM_INPLACE=ON \

@@ -259,7 +259,7 @@ def _account(scene: Scene, world: NightWorld, end: NightEnd, kills: int, exposin
     with Store.open(scene.folder / "store.sqlite") as store:
         book = NightBook(store, nights(store)[-1].id)
         visits, exposures = {v.id: v for v in book.visits()}, book.exposures()
-        on_record = sum(_images_of(store, run.id) for run in store.runs())
+        on_record = sum(images_of(store, run.id) for run in store.runs())
         faults = len(check_store(store).faults)
         night_s = (book.about.utc_end or BEGIN) - BEGIN
     booked = {e.key for e in exposures if e.utc_end is not None}
@@ -290,7 +290,7 @@ def _account(scene: Scene, world: NightWorld, end: NightEnd, kills: int, exposin
     )
 
 
-def _images_of(store: Store, run: int) -> int:
+def images_of(store: Store, run: int) -> int:
     """Images that its moves and its begin checks are made of."""
     parts = store.parts(run)[1]
     moves = store.moves(run)

@@ -40,8 +40,8 @@ class Night:
         array = KnownArray(self.plane, self.maps, self.field.source, ArrayBook(self.store, "twin:1"))
         return NightSetup(known, array, self.folder / "queue.toml", self.folder, "night", virtual=True)
 
-    def run(self, resume=False, progress=lambda _: None):
-        return asyncio.run(carry_out(self.setup(), self.store, resume, progress))
+    def run(self, resume=False, progress=lambda _: None, setup=None):
+        return asyncio.run(carry_out(setup or self.setup(), self.store, resume, progress))
 
     @property
     def book(self):

@@ -24,9 +24,9 @@ async def main(folder, prefix, port):
         if line in ("slow", "fast"):
             (held.slow.set if line == "slow" else held.slow.clear)()
         elif line == "lock":
-            array._book.note_stopped("collision of positioners 3, 4", "locked")
+            array.book.note_stopped("collision of positioners 3, 4", "locked")
         elif line == "free":
-            array._book.note_stopped("", "idle")
+            array.book.note_stopped("", "idle")
         elif line == "run":
             held.twin.run(1.0)
         print(json.dumps(held.twin.fibre_xy("metrology").tolist()), flush=True)

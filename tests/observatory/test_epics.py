@@ -83,7 +83,7 @@ def test_a_client_reads_the_state_and_stops_a_motion(ioc):
     ioc.write("PARK", 1)
     ioc.until("STATE", "moving")
     ioc.write("HOME", 1)
-    said = ioc.until("SAID", "refused: park of EPICS is at work: wait for its end, or stop")
+    said = ioc.until("SAID", lambda text: text.startswith("refused: park of EPICS runs since"))
     assert said[1] == 1
     ioc.write("STOP", 1)
     ioc.until("SAID", "park has ended; the array is stopped")
@@ -95,6 +95,8 @@ def test_a_client_reads_the_state_and_stops_a_motion(ioc):
     assert np.hypot(*(still_mm - PLANE.forward(*PLANE.park_deg.T)).T).max() > 1.0  # it was on the way
     ioc.write("CONFIGURE", "list.csv")
     ioc.until("SAID", "configure has begun")
+    ioc.until("COMMAND", "observe of EPICS")
+    ioc.until("COMMAND", "")
     ioc.until("STATE", "idle")
 
 
@@ -107,7 +109,8 @@ def test_a_client_sees_an_alarm_come_and_go(ioc):
     assert ioc.until("ALARMS", 1) == (1, 2)
     ioc.write("PARK", 1)
     said, severity = ioc.until("SAID", lambda text: text.startswith("refused: "))
-    assert ("fiberloom recover" in said, severity) == (True, 1)
+    assert "fiberloom recover" in said
+    assert severity == 1
     ioc.tell("free")
     assert ioc.until("STATE", "idle") == ("idle", 0)
     assert ioc.read("ALARM") == ("", 0)

@@ -19,8 +19,8 @@ IDS = np.array([4, 9, 12])
 
 
 @pytest.fixture
-def book(tmp_path):
-    with Store.open(tmp_path / "arrays.sqlite") as store:
+def book(place):
+    with Store.open(place) as store:
         yield ArrayBook(store, BUS)
 
 

@@ -6,9 +6,14 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from fiberloom.errors import InputError
+from fiberloom.night.asked.orders import QueueOrders
+from fiberloom.night.overhead import learned_s
 from fiberloom.store import Store
+from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, night_of, nights
 from fiberloom.store.service.alarms import Severity
+from fiberloom.store.service.commands import CommandBook, CommandResult
+from fiberloom.store.service.history import positioner_history
 
 EVENING = datetime(2026, 11, 25, 18, 0, tzinfo=UTC)
 ABOUT = {
@@ -22,8 +27,8 @@ def after(seconds):
 
 
 @pytest.fixture
-def book(tmp_path):
-    with Store.open(tmp_path / "s.sqlite") as store:
+def book(place):
+    with Store.open(place) as store:
         yield NightBook.begin(store, EVENING, ABOUT)
 
 
@@ -112,3 +117,39 @@ def test_fields_keep_their_order_and_their_last_state(book):
     book.note_field("a", "{}", "queued")
     book.note_field("b", "{}", "done")
     assert [(f.name, f.state) for f in book.fields()] == [("b", "done"), ("a", "queued")]
+
+
+def test_orders_to_a_night_and_a_positioners_alarms_come_back(book):
+    """What the page and `fiberloom history` ask of a store: the same on both databases."""
+    commands = CommandBook(ArrayBook(book.store, "twin:1"))
+    number = commands.begin("ann", "operator", "skip", {"field": "a"}, night=book.id)
+    commands.end(number, CommandResult.DONE)
+    refused = commands.begin("bob", "operator", "skip", {"field": "b"}, night=book.id)
+    commands.end(refused, CommandResult.REFUSED, "no such field")
+    assert QueueOrders.of(book.commands()).skipped == {"a": "by ann"}
+    book.raise_alarm(after(1), "collision", Severity.CRITICAL, "positioner 4", "it has collided")
+    found = positioner_history(book.store, 4)
+    assert [(a["code"], a["night_id"]) for a in found["alarms"]] == [("collision", book.id)]
+    assert (found["measurements"], found["events"], found["exclusions"]) == ([], [], [])
+    assert positioner_history(book.store, 5)["alarms"] == []
+
+
+def test_overheads_are_learnt_from_the_night_and_from_the_one_before(book):
+    assert learned_s(book, dithered=False) is None
+    for dither, (begin_s, ready_s) in enumerate([(0, 30), (100, 104)]):
+        which = {"field": "a", "repeat": 0, "dither": dither, "attempt": 1}
+        visit = book.begin_visit(after(begin_s), "positioning", which)
+        exposure = book.ask_exposure(visit, 1, f"k{dither}", 60.0)
+        book.change_exposure(exposure, utc_start=after(ready_s), utc_end=after(ready_s + 60))
+        book.change_visit(visit, state="done", utc_end=after(ready_s + 60))
+        steps = {"begin check": 0.5, "blind": 22.0, "correction 1": 1.0, "correction 2": 2.0}
+        for name, lasts_s in steps.items() if dither == 0 else ():
+            stage = {"visit_id": visit, "name": f"position: {name}", "outcome": "done"}
+            book.note_stage(after(begin_s), {**stage, "duration_s": lasts_s, "wall_s": 0.1})
+        if dither == 0:  # a blind move as short as a correction: 0.5 + 1.5 + 3
+            assert learned_s(book, dithered=True) == 5.0
+    assert (learned_s(book, dithered=False), learned_s(book, dithered=True)) == (30.0, 4.0)
+    later = NightBook.begin(book.store, after(9000), ABOUT)
+    assert (learned_s(later, dithered=False), learned_s(later, dithered=True)) == (30.0, None)
+    other = NightBook.begin(book.store, after(9000), ABOUT | {"config_hash": "another layout"})
+    assert learned_s(other, dithered=False) is None

@@ -14,6 +14,7 @@ from fiberloom.service.array import Author, ServedArray
 from fiberloom.service.guard.tokens import Identity, Role
 from fiberloom.service.guard.wall import Gate, hosts_of
 from fiberloom.service.hub import Hub
+from fiberloom.service.night.served_night import NightPace, ServedNight
 from fiberloom.service.pace import PacedSource
 from fiberloom.service.web.app import application
 from fiberloom.service.web.target_root import TargetRoot
@@ -52,6 +53,20 @@ def served(folder, speed=None, faults="", n=N):
             array.close()
 
 
+@contextlib.contextmanager
+def served_night(array, queue_file):
+    """The night of a queue on an array at a pace of 20; while a shutter is open at 200."""
+    source = array.field.source
+    night = ServedNight(array, queue_file, NightPace(source, source.speed, 10 * source.speed))
+    night.start()
+    try:
+        yield night
+    finally:
+        array.stop_own(ANN)
+        idle(array)
+        night.close()
+
+
 def idle(array):
     """Waits until no command runs."""
     wait_for(lambda: array.running is None)
@@ -69,17 +84,17 @@ def gate(tokens=None, port=PORT, scheme="http"):
 
 
 @contextlib.contextmanager
-def asking(array, folder, tokens=None, headers=OURS):
+def asking(array, folder, tokens=None, headers=OURS, night=None):
     """A client of the service, without a network."""
-    app = application(array, gate(tokens), TargetRoot(folder / "targets"))
+    app = application(array, gate(tokens), TargetRoot(folder / "targets"), night)
     with TestClient(app, base_url=f"http://{HOST}:{PORT}", headers=headers) as client:
         yield client
 
 
 @contextlib.contextmanager
-def listening(array, folder, sock, tokens=None):
+def listening(array, folder, sock, tokens=None, night=None):
     """The service on a socket, in a thread."""
-    app = application(array, gate(tokens, sock.getsockname()[1]), TargetRoot(folder / "targets"))
+    app = application(array, gate(tokens, sock.getsockname()[1]), TargetRoot(folder / "targets"), night)
     config = uvicorn.Config(app, ws="websockets-sansio", log_config=None, timeout_graceful_shutdown=1)
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [sock]}, daemon=True)

@@ -22,7 +22,8 @@ from fiberloom.cli.calibrate.fibres import fibres
 from fiberloom.cli.calibrate.focal_plane import focal_plane
 from fiberloom.cli.calibrate.gravity import gravity
 from fiberloom.cli.calibrate.identification import arms, coast, friction, inertia, repeatability, stiffness
-from fiberloom.cli.calibrate.learnt import history, undo
+from fiberloom.cli.calibrate.learnt import history as learnt_history
+from fiberloom.cli.calibrate.learnt import undo
 from fiberloom.cli.calibrate.steppers import steppers
 from fiberloom.cli.calibrate.transmission import transmission
 from fiberloom.cli.commission import commission
@@ -44,6 +45,7 @@ from fiberloom.cli.lifetime import lifetime
 from fiberloom.cli.night import night
 from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
+from fiberloom.cli.past.history import history
 from fiberloom.cli.past.runs import runs
 from fiberloom.cli.past.show import show
 from fiberloom.cli.past.store import check as check_store
@@ -101,6 +103,7 @@ add(app, reproduce)
 add(app, instruments)
 add(app, runs)
 add(app, show)
+add(app, history)
 add(app, health)
 add(app, centroid)
 add(app, match)
@@ -145,7 +148,7 @@ add(calibrate, steppers)
 add(calibrate, focal_plane, "focal-plane")
 add(calibrate, fibres)
 add(calibrate, gravity)
-add(calibrate, history)
+add(calibrate, learnt_history, "history")
 add(calibrate, undo)
 add(calibrate, friction)
 add(calibrate, inertia)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fiberloom.field import Field
+    from fiberloom.instruments import FocalPlane
     from fiberloom.night.carry import NightEnd
     from fiberloom.night.queue import QueueArray
     from fiberloom.night.setup import NightSetup
@@ -80,19 +81,24 @@ def _field(options: NightOptions, array: QueueArray) -> Field:
     """The array of the queue, with what was typed in place of what it says."""
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
-    from fiberloom.instruments import generate, load_instrument, read_layout
 
-    model = load_instrument(array.instrument)
-    if array.layout is None:
-        plane = generate(model, array.seed, n_positioners=array.positioners)
-    else:
-        plane = read_layout(array.layout, model)
+    plane = queue_plane(array)
     bus, camera = options.bus or array.bus or TWIN, options.camera or array.camera
     if not bus.startswith(TWIN) and camera is None:
         raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")
     wrong = {"faults": array.faults, "errors": array.errors}
     source = open_hardware(plane, bus, camera or "noise", seed=array.seed, **wrong)
     return Field(plane, source, array.seed, options.calibration or array.calibration)
+
+
+def queue_plane(array: QueueArray) -> FocalPlane:
+    """The positioners that a queue names."""
+    from fiberloom.instruments import generate, load_instrument, read_layout
+
+    model = load_instrument(array.instrument)
+    if array.layout is None:
+        return generate(model, array.seed, n_positioners=array.positioners)
+    return read_layout(array.layout, model)
 
 
 def _setup(options: NightOptions, field: Field, array: QueueArray, store: Store) -> NightSetup:

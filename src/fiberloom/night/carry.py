@@ -60,7 +60,7 @@ async def carry_out(
         Another process has asked for a stop; the night can be resumed.
     """
     setup.read_queue()  # told before the array is touched
-    session = await beside(Session, setup.array, setup.command_line, progress, setup.exclude)
+    session = await beside(Session, setup.array, setup.command_line, progress, setup.exclude, setup.witness)
     setup.known.plane = session.plane
     async with session.owning(Deed.OBSERVE) as held:
         book = await beside(_resumed if resume else _begun, setup, store)
@@ -68,7 +68,8 @@ async def carry_out(
         ended: list[NightEnd] = []
         with _ending(setup, book, ended):
             why = await _run(setup, book, held, progress)
-            ended.append(NightEnd(book.id, FINISHED, why))
+            status = INTERRUPTED if setup.control.parked_by else FINISHED  # parked by a person: it may go on
+            ended.append(NightEnd(book.id, status, why))
         return ended[0]
 
 
@@ -79,6 +80,7 @@ async def _run(setup: NightSetup, book: NightBook, held: HeldArray, progress: Ca
             await beside(
                 book.raise_alarm, runner.clock.now(), "taken over", Severity.MINOR, "array", held.said
             )
+        setup.begun(runner)
         return await runner.run()
 
 

@@ -83,6 +83,8 @@ class FieldEntry(_Table):
     corrections: Annotated[int, Field(ge=0, le=20)] | None = None
     """None: by the instrument's stop rule."""
     notes: str = ""
+    skip: Annotated[str, Field(max_length=200)] = ""
+    """Why it is left out; empty: it is not."""
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from statistics import median
 from typing import Any
 
 from fiberloom.drive.sdssv import SdssvDrive
@@ -20,7 +19,9 @@ from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
+from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock
+from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
 from fiberloom.night.shutter import Shutter
@@ -32,11 +33,13 @@ from fiberloom.night.step import (
     Expose,
     NightState,
     Park,
+    Pause,
     Position,
     Step,
     Visited,
     VisitState,
     Wait,
+    as_asked,
     field_states,
     next_step,
 )
@@ -71,7 +74,19 @@ SHUTTER_SLACK_S = 60.0
 """By which an exposure may last longer than it should."""
 
 RECOVERIES = 3
-"""Of an array, in one night, before a person has to come."""
+"""Of an array, one after the other, before a person has to come."""
+
+
+PAUSE_LOOK_S = 1.0
+LONGEST_PAUSE_S = 86400.0
+DAWN_IN_PAUSE = "it is dawn, and the night is paused by {}: the array is not parked; go on, or park"
+
+
+POSITIONER, LEFT_OUT = "positioner ", "left out"
+APART = "a collision: the arms were moved apart, and folded"
+MOST_COLLISIONS = 2
+"""Of one positioner, in one night, before it is left where it is."""
+STAYS = "has collided twice: it stays where it is for this night; look at it, then exclude it or home it"
 
 
 class NightStoppedError(RuntimeError):
@@ -100,7 +115,8 @@ class NightRunner:
         """`setup`: what it is made of; `book`: its record; `held`: the array; `hardware`: its bus and camera;
         `progress`: called with the name of each step."""
         self.setup, self.book, self.held, self.hardware = setup, book, held, hardware
-        self.queue = setup.read_queue()
+        self.queue = QueueOrders.of(book.commands()).applied(setup.read_queue())
+        self.control = setup.control
         drive = setup.drive(hardware)
         self.clock: NightClock = setup.clock(drive, self.queue, last_time(book))
         self.shutter: Shutter = setup.shutter(setup, book, self.clock)
@@ -112,6 +128,9 @@ class NightRunner:
         """Of the last place whose fibres were on target."""
         self.parked = False
         self.recoveries = 0
+        self.left_out: set[int] = set()
+        """Positioners that stay where they are for the rest of the night."""
+        self._leave_out()
 
     async def run(self) -> str:
         """Carries out the queue; returns why the night is over."""
@@ -121,9 +140,13 @@ class NightRunner:
             state = await beside(self._state)
             step = next_step(state, self.queue, self.clock.now())
             await beside(self._note_fields, state)
+            step = as_asked(step, state, self.control.paused_by, self.control.parked_by)
             if isinstance(step, End):
                 return step.why
-            await self._take(step)
+            if isinstance(step, (Position, Wait, Pause)):  # no exposure: the shutter is another's
+                await self.control.run(self._take(step))
+            else:
+                await self._take(step)
 
     async def _take(self, step: Step) -> None:
         if isinstance(step, Position):
@@ -136,13 +159,15 @@ class NightRunner:
             await self._park()
         elif isinstance(step, Wait):
             await self._wait(step)
+        elif isinstance(step, Pause):
+            await self._pause(step)
 
     # what is known
 
     def _reread(self) -> None:
         """The queue as it is now; one that cannot be read is told, and the last good one is kept."""
         try:
-            self.queue = self.setup.read_queue()
+            self.queue = QueueOrders.of(self.book.commands()).applied(self.setup.read_queue())
         except InputError as error:
             self._alarm(
                 "queue", Severity.MINOR, str(self.setup.queue_file), f"{error}; the last good one is used"
@@ -219,7 +244,10 @@ class NightRunner:
             await beside(self._over, visit, VisitState.INTERRUPTED, "stopped")
             raise
         await beside(self._ready, visit, step, seen[-1], ahead)
-        await self._settled()
+        if await self._settled():  # the fibres are off target by now
+            await beside(self._over, visit, VisitState.INTERRUPTED, APART)
+        else:
+            self.recoveries = 0
 
     def _begin_visit(self, step: Position) -> int:
         attempt = 1 + sum(v.part == step.part for v in self._state().visits)
@@ -333,13 +361,17 @@ class NightRunner:
     def _over(self, visit: int, state: VisitState, note: str) -> None:
         self.book.change_visit(visit, state=state.value, utc_end=self.clock.now(), note=note)
 
-    async def _settled(self) -> None:
-        """The array is at rest; where arms touch they are moved apart, three times in a night at most."""
+    async def _settled(self) -> bool:
+        """The array is at rest; where arms touch they are moved apart, three times in a row at most.
+
+        Whether they were.
+        """
         await beside(self.held.settle)
+        before = self.recoveries
         while self.held.lock.state is SessionState.LOCKED:
             self.recoveries += 1
             why = self.held.lock.text
-            await beside(self._alarm, "collision", Severity.CRITICAL, "array", why)
+            await beside(self._note_collision, why)
             if self.recoveries > RECOVERIES:
                 raise NightStoppedError(f"{why}; `fiberloom recover`, then `fiberloom night --resume`")
             stage = NightStage("recover", self._recover, self.queue.stage_timeout_s)
@@ -348,6 +380,25 @@ class NightRunner:
             except FAILURES as error:
                 await beside(self.held.leave, ArrayStep.LOSE, reason(error))
             await beside(self.held.settle)
+        await beside(self._leave_out)
+        return self.recoveries > before
+
+    def _note_collision(self, why: str) -> None:
+        subjects = [f"{POSITIONER}{number}" for number in self.held.collided] or ["array"]
+        for subject in subjects:
+            self._alarm("collision", Severity.CRITICAL, subject, why)
+
+    def _leave_out(self) -> None:
+        """Who has collided twice stays where it is for the rest of the night, also where it is resumed."""
+        alarms = [a for a in self.book.alarms() if a.subject.startswith(POSITIONER)]
+        told = {a.subject for a in alarms if a.code == LEFT_OUT}
+        now = {a.subject for a in alarms if a.code == "collision" and a.count >= MOST_COLLISIONS}
+        for subject in sorted(now - told):
+            self._alarm(LEFT_OUT, Severity.MAJOR, subject, STAYS)
+        numbers = {int(subject.removeprefix(POSITIONER)) for subject in now | told}
+        if numbers - self.left_out:
+            self.left_out, self.ahead, self.assigned = numbers, None, None
+            self.setup.known.plane = self.setup.array.excluded_plane({*self.setup.exclude, *numbers})
 
     async def _recover(self) -> None:
         async with self._plain_motion() as motion:
@@ -404,8 +455,9 @@ class NightRunner:
         await beside(self._begin_exposing, visit.id)
         exposure = await beside(self.book.ask_exposure, visit.id, number, key, entry.exposure_s)
         self.held.lock.forbidden = "the shutter is open"
+        end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         await self.shutter.start(key, entry.exposure_s)
-        planning = asyncio.create_task(self._plan_ahead(visit, entry))
+        planning = asyncio.create_task(self._plan_ahead(visit, entry, end))
         try:
             await self._until_closed(key, exposure, entry.exposure_s)
             self.held.lock.forbidden = ""
@@ -434,13 +486,12 @@ class NightRunner:
     def _note_exposure(self, exposure: int, what: str, when: datetime) -> None:
         self.book.change_exposure(exposure, **{what: when})
 
-    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry) -> Ahead | None:
-        """Assigns and plans what comes after this exposure, from where all are: nothing moves meanwhile."""
+    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
+        """Assigns and plans what comes after this exposure, which will `end` then; nothing moves."""
         state = (await beside(self._state)).visits
         exposed = replace(state[-1], exposed=state[-1].exposed + 1)
         done = NightState((*state[:-1], exposed)).exposed(exposed.part) >= entry.exposures
         after = replace(exposed, state=VisitState.DONE) if done else exposed
-        end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         step = next_step(NightState((*state[:-1], after)), self.queue, end)
         if not isinstance(step, Position):
             return None
@@ -450,21 +501,10 @@ class NightRunner:
         return Ahead(made, await self._planned(made))
 
     def _until_ready(self, step: Position) -> timedelta:
-        """From the begin of a `step` to its first exposure, as it took in this night; else as the queue says.
-
-        A dither is quicker than a new field.
-        """
-        visits, first = self.book.visits(), {}
-        for exposure in reversed(self.book.exposures()):
-            first[exposure.visit_id] = exposure.utc_start
-        fields = ["", *(visit.field for visit in visits)]
-        dithered = bool(visits) and self.assigned is not None and self.assigned.step.field == step.field
-        took_s = [
-            (start - visit.utc_start).total_seconds()
-            for before, visit in zip(fields, visits, strict=False)
-            if (start := first.get(visit.id)) is not None and (before == visit.field) == dithered
-        ]
-        return timedelta(seconds=median(took_s) if took_s else self.queue.overhead_s)
+        """From the begin of a `step` to its first exposure, as it took before; else as the queue says."""
+        dithered = self.assigned is not None and self.assigned.step.field == step.field
+        known_s = learned_s(self.book, dithered)
+        return timedelta(seconds=self.queue.overhead_s if known_s is None else known_s)
 
     async def _planned(self, made: Assigned) -> PlannedAhead | None:
         motion = self.motion
@@ -483,13 +523,26 @@ class NightRunner:
     def _close(self, step: Close) -> None:
         visit = self.book.visits()[-1]
         self._over(visit.id, step.state, step.why)
-        if step.why:
+        if step.why and step.state is not VisitState.INTERRUPTED:
             self._alarm("visit", Severity.MINOR, f"field {visit.field}", step.why)
 
     async def _wait(self, step: Wait) -> None:
         left_s = (step.until - self.clock.now()).total_seconds()
         stage = NightStage("wait", lambda: self.clock.sleep(min(left_s, MOST_WAIT_S)), 2.0 * MOST_WAIT_S)
         await self.stages.run(stage)
+
+    async def _pause(self, step: Pause) -> None:
+        """Until an operator lets it go on, also at dawn: a person may be at the instrument."""
+
+        async def waiting() -> None:
+            told, text = False, DAWN_IN_PAUSE.format(step.who)
+            while self.control.paused_by:
+                await self.clock.sleep(PAUSE_LOOK_S)
+                if not told and self.clock.now() >= self.queue.dawn:
+                    told = True
+                    await beside(self._alarm, "paused", Severity.MAJOR, "night", text)
+
+        await self.stages.run(NightStage("pause", waiting, LONGEST_PAUSE_S))
 
     async def _park(self) -> None:
         try:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.drive.way_rules import way_rule
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
+from fiberloom.night.asked.control import NightControl
 from fiberloom.night.clock import BusClock, NightClock, WorldClock
 from fiberloom.night.queue import FieldEntry, Queue, read_queue
 from fiberloom.night.shutter import Shutter, TimedShutter
@@ -25,6 +27,7 @@ from fiberloom.operation.safety.stop import to_its_end
 from fiberloom.operation.series.goals import targets_at
 from fiberloom.operation.series.steps import followed
 from fiberloom.operation.session.session import KnownArray
+from fiberloom.operation.session.witness import Witness
 from fiberloom.operation.source import LeftOpen, Source
 from fiberloom.sky.sky_field import SkyField
 from fiberloom.store.nights.book import NightBook
@@ -76,6 +79,11 @@ class NightSetup:
     reborn: bool = True
     """The time of the bus begins anew with each process."""
     shutter: ShutterMaker = timed_shutter
+    witness: Witness | None = None
+    """Told of moves while they are made."""
+    control: NightControl = field(default_factory=NightControl)
+    begun: Callable[[Any], None] = lambda _: None
+    """Called with the `NightRunner` before its first step."""
 
     @property
     def source(self) -> Source:
@@ -121,7 +129,7 @@ class NightSetup:
     # fields
 
     def targets(self, entry: FieldEntry, dither: int, begin: datetime, done: int = 0) -> TargetList:
-        """Targets of a field, moved by one of its dithers; mm. InputError names the file.
+        """Targets of the field of an `entry`, moved by its `dither`; mm. InputError names the file.
 
         Of a field on the sky: for the middle of the exposures of one place, which `begin` then; so many of
         them are `done`.

@@ -43,6 +43,7 @@ class StageRunner:
     def __init__(self, book: NightBook, clock: NightClock, progress: Callable[[str], None]) -> None:
         """`book`: of the night; `clock`: of it; `progress`: called with the name of each stage."""
         self.book, self.clock, self.progress = book, clock, progress
+        self.under_way: Lap | None = None
 
     async def run(self, stage: NightStage, visit: int | None = None) -> None:
         """Runs a `stage` of a `visit`, None: of the night.
@@ -52,8 +53,8 @@ class StageRunner:
         """
         if why := stage.precondition():
             raise RefusedError(f"{stage.name}: {why}")
+        lap = self.under_way = Lap.begin(stage.name, visit, self.clock)
         self.progress(stage.name)
-        lap = Lap.begin(stage.name, visit, self.clock)
         outcome = DONE
         try:
             await within(stage.action(), self.clock, stage.timeout_s)
@@ -65,6 +66,7 @@ class StageRunner:
                 await stage.cleanup()
             finally:
                 await beside(lap.note, self.book, self.clock.now(), time.monotonic(), outcome)
+                self.under_way = None
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ class VisitState(StrEnum):
     EXPOSING = "exposing"
     DONE = "done"
     FAILED = "failed"
-    SKIPPED = "skipped"  # its time is over
+    SKIPPED = "skipped"  # its time is over, or an operator leaves it out
     INTERRUPTED = "interrupted"  # the process was gone, or an operator stopped it
 
 
@@ -108,6 +108,13 @@ class Wait:
 
 
 @dataclass(frozen=True)
+class Pause:
+    """Nothing begins until an operator says so."""
+
+    who: str
+
+
+@dataclass(frozen=True)
 class Park:
     """Fold the array."""
 
@@ -121,7 +128,7 @@ class End:
     why: str
 
 
-Step: TypeAlias = Position | Expose | Close | Wait | Park | End
+Step: TypeAlias = Position | Expose | Close | Wait | Pause | Park | End
 
 
 def next_step(state: NightState, queue: Queue, now: datetime) -> Step:
@@ -163,6 +170,8 @@ def _of_visit(state: NightState, visit: Visited, queue: Queue, now: datetime) ->
         return Close(VisitState.DONE if done else VisitState.FAILED, "taken out of the queue")
     if done >= entry.exposures:
         return Close(VisitState.DONE, "")
+    if entry.skip:
+        return Close(VisitState.INTERRUPTED, f"skipped: {entry.skip}")
     end = min(queue.dawn, entry.not_after or queue.dawn)
     if now + timedelta(seconds=entry.exposure_s) > end:
         return Close(VisitState.FAILED, f"{done} of {entry.exposures} exposures before its time was over")
@@ -172,7 +181,7 @@ def _of_visit(state: NightState, visit: Visited, queue: Queue, now: datetime) ->
 def _open_parts(state: NightState, queue: Queue) -> Iterator[tuple[FieldEntry, tuple[int, int]]]:
     """The next place of each field that is neither exposed nor given up."""
     for entry in queue.fields:
-        for part in entry.parts:
+        for part in () if entry.skip else entry.parts:
             of = (entry.id, *part)
             if state.exposed(of) < entry.exposures and state.failed(of) < queue.attempts:
                 yield entry, part
@@ -199,6 +208,19 @@ def _rank(entry: FieldEntry, state: NightState, queue: Queue) -> tuple[float, bo
     return -entry.priority, not begun, queue.last_begin(entry), queue.fields.index(entry)
 
 
+def as_asked(step: Step, state: NightState, paused_by: str, parked_by: str) -> Step:
+    """What to do in place of a `step`, in this `state` of the night, where people have asked for it.
+
+    `paused_by`, `parked_by`: who has; empty: none. A night that is over stays so.
+    """
+    if parked_by and not isinstance(step, End):
+        why = f"parked by {parked_by}"
+        if state.underway is not None:
+            return Close(VisitState.INTERRUPTED, why)
+        return End(why) if state.parked else Park(why)
+    return Pause(paused_by) if paused_by and not isinstance(step, End) else step
+
+
 def field_states(state: NightState, queue: Queue, now: datetime) -> dict[str, tuple[VisitState, str]]:
     """State of every field of the queue, and the reason where there is one to tell."""
     return {entry.id: _field_state(entry, state, queue, now) for entry in queue.fields}
@@ -212,6 +234,8 @@ def _field_state(entry: FieldEntry, state: NightState, queue: Queue, now: dateti
     done = sum(state.exposed(part) >= entry.exposures for part in parts)
     if done == len(parts):
         return VisitState.DONE, ""
+    if entry.skip:
+        return VisitState.SKIPPED, f"{entry.skip}; {done} of {len(parts)} places done"
     if any(state.failed(part) >= queue.attempts for part in parts):
         return VisitState.FAILED, f"{done} of {len(parts)} places done"
     if _next_look(entry, queue, now) is None:

@@ -27,14 +27,15 @@ from fiberloom.operation.session.session import KnownArray, Session, SessionRepo
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
 from fiberloom.operation.session.stopping import Stopper
 from fiberloom.service.alarms.board import CAMERA, AlarmBoard
+from fiberloom.service.cutout import cutout_png
 from fiberloom.service.health import HealthFollower
 from fiberloom.service.hub import Hub
 from fiberloom.service.live import Live
-from fiberloom.store.arrays import ArrayBook
+from fiberloom.store.arrays import ArrayBook, ArrayState
 from fiberloom.store.place import NUMBERED, Place
 from fiberloom.store.service.alarms import Alarm, AlarmTable
 from fiberloom.store.service.commands import CommandBook, CommandRecord, CommandResult
-from fiberloom.store.service.history import positioner_history
+from fiberloom.store.service.history import nights_of, positioner_history
 from fiberloom.targets import read_targets
 
 EXPECTED = (InputError, CameraError, UnsafePlanError, TransportLost, OSError)
@@ -106,6 +107,7 @@ class ServedArray:
         arrayed.keep = self._keep
         self._lock = threading.Lock()
         self._running: RunningCommand | None = None
+        self._seen: tuple[str, str, str, bool] | None = None
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, name="fiberloom-array", daemon=True)
 
@@ -116,8 +118,11 @@ class ServedArray:
         asyncio.set_event_loop(self._loop)
         self._loop.run_forever()
 
-    def begin(self) -> None:
-        """Begins to serve: what the store knows is shown, and maps are made where there are none."""
+    def begin(self, calibrate: bool = True) -> None:
+        """Begins to serve: what the store knows is shown, and maps are made where there are none.
+
+        `calibrate`: at once; else with the first command.
+        """
         self.commands.abandon()
         self._show_exclusions()
         self._look_at_state()
@@ -126,7 +131,8 @@ class ServedArray:
         elif self.bus.startswith(TWIN):  # a twin of this process is folded at first
             self.live.place(self.field.plane.park_deg)
         self._thread.start()
-        self._begin("calibrate", Author("service", "engineer"), {}, self._calibrate)
+        if calibrate:
+            self._begin("calibrate", Author("service", "engineer"), {}, self._calibrate)
 
     def close(self) -> None:
         """Stops what moves, waits until it is at rest, and ends the thread."""
@@ -158,24 +164,24 @@ class ServedArray:
             seen = await self.field.observe(wanted, corrections, out=self.place, pages="none")
             return _told_of(seen)
 
-        return self._asked("observe", Deed.OBSERVE, author, asked, work, key)
+        return self.ask("observe", Deed.OBSERVE, author, asked, work, key)
 
     def park(self, author: Author, key: str = "") -> CommandRecord:
         """Begins to fold all. Busy where the array is not free."""
-        return self._asked("park", Deed.PARK, author, {}, self._in_session(lambda s: s.park()), key)
+        return self.ask("park", Deed.PARK, author, {}, self._in_session(lambda s: s.park()), key)
 
     def home(self, author: Author, positioners: Iterable[int] | None, key: str = "") -> CommandRecord:
         """Begins to search datums of these `positioners`, None: all; `author` and `key` for the record."""
         chosen = None if positioners is None else sorted(set(positioners))
         self._check_known(chosen or ())
         work = self._in_session(lambda s: s.home(chosen))
-        return self._asked("home", Deed.HOME, author, {"positioners": chosen}, work, key)
+        return self.ask("home", Deed.HOME, author, {"positioners": chosen}, work, key)
 
     def recover(self, author: Author, look_only: bool, key: str = "") -> CommandRecord:
         """Begins to take arms apart that touch, and unlocks; `look_only`: says what would be done;
         `author` and `key` for the record."""
         work = self._in_session(lambda s: s.recover(look_only))
-        return self._asked("recover", Deed.RECOVER, author, {"look": look_only}, work, key)
+        return self.ask("recover", Deed.RECOVER, author, {"look": look_only}, work, key)
 
     def exclude(
         self, author: Author, positioners: Iterable[int], why: str, until: datetime | None = None
@@ -233,7 +239,7 @@ class ServedArray:
     def history(self, positioner_id: int) -> dict[str, Any]:
         """What is on record of one positioner, and what health says. InputError for one that there is not."""
         self._check_known([positioner_id])
-        found: dict[str, Any] = {"measurements": [], "events": []}
+        found: dict[str, Any] = {"measurements": [], "events": [], "alarms": []}
         if self.place.store.exists():
             from fiberloom.store import Store
 
@@ -244,10 +250,20 @@ class ServedArray:
         return {
             "positioner_id": positioner_id,
             "health": self.health.of(positioner_id),
-            "exclusions": [_exclusion_row(e) for e in mine],
             "place": {"how": known.how[0], "datum": bool(known.datum[0])},
             **found,
+            "nights": nights_of(found["measurements"]),
+            "exclusions": [_exclusion_row(e) for e in mine],
+            "image": self.live.cutout(0) is not None,
         }
+
+    def cutout(self, positioner_id: int) -> bytes:
+        """The last image around the metrology fibre of one, a PNG; InputError where there is none."""
+        self._check_known([positioner_id])
+        row = int(self.field.plane.index_of([positioner_id])[0])
+        if (found := self.live.cutout(row)) is None:
+            raise InputError("no image yet: the next command takes one, with a camera that takes images")
+        return cutout_png(found[0], row, found[1])
 
     def exclusions(self) -> list[dict[str, Any]]:
         """Those in force."""
@@ -272,7 +288,7 @@ class ServedArray:
 
     # how it is done
 
-    def _asked(
+    def ask(
         self,
         name: str,
         deed: Deed,
@@ -281,6 +297,11 @@ class ServedArray:
         work: Callable[[], Coroutine[Any, Any, str]],
         key: str,
     ) -> CommandRecord:
+        """Begins a command.
+
+        `name`: its own; `deed`: what the state of the array must allow; `author`, `asked` and `key`: for the
+        record; `work`: what it does, and tells at the end. Busy where the array is not free.
+        """
         if (before := self.commands.by_key(author.name, key)) is not None:
             return before
         try:
@@ -379,15 +400,29 @@ class ServedArray:
     def _cancel(self, running: RunningCommand, author: str) -> None:
         running.stopped_by = running.stopped_by or author
         if (task := running.task) is not None:
-            self._loop.call_soon_threadsafe(task.cancel)
+            self._loop.call_soon_threadsafe(task.cancel, f"stopped by {running.stopped_by}")
+
+    def look(self) -> ArrayState:
+        """The state of the array as the store has it; what has changed since the last look is told.
+
+        One that is locked, or whose owner is gone, is an alarm. InputError where the store cannot be read.
+        """
+        row = self.book.state()
+        if (seen := (row.state, row.text, row.owner, row.stale)) != self._seen:
+            self._seen = seen
+            self._look_at_state()
+        return row
 
     def _look_at_state(self) -> None:
-        """Publishes the state of the array; one that is locked is an alarm."""
-        now = self.state()
-        if now["state"] == SessionState.LOCKED:
-            self.alarms.raise_("collision", "array", now["text"])
-        else:
-            self.alarms.clear("collision", "array")
+        """Publishes the state of the array; one that is locked, or whose owner is gone, is an alarm."""
+        now, row = self.state(), self.book.state()
+        gone = f"{row.owner} is gone; the array was {row.state}" if row.stale else ""
+        locked = now["text"] if now["state"] == SessionState.LOCKED else None
+        for code, text in (("collision", locked), ("owner", gone or None)):
+            if text is None:
+                self.alarms.clear(code, "array")
+            else:
+                self.alarms.raise_(code, "array", text or "arms have touched")
         self.hub.publish("array", now)
 
     def _propose(self) -> None:

@@ -20,9 +20,11 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.metrology import Measurement
+from fiberloom.metrology.pipeline import Reduction
 from fiberloom.operation.move import Goals, Move
 from fiberloom.operation.session.witness import BegunMove
 from fiberloom.planning import Plan
+from fiberloom.service.stamps import Stamps
 from fiberloom.typing import Array, Flags, Floats
 from fiberloom.units import UM_PER_MM
 
@@ -137,6 +139,7 @@ class Live:
         self._goals: Goals | None = None
         self._underway: _Underway | None = None
         self._plan: SampledPlan | None = None
+        self._stamps: Stamps | None = None
         self._stages: deque[LiveStage] = deque(maxlen=_MOST_STAGES)
         self._changed = 1
         self.heard = False
@@ -217,6 +220,12 @@ class Live:
         self.tell("move", self.seen_about())
         self._told_states()
         self.judged(dict(zip(self.plane.positioner_id.tolist(), map(str, move.status), strict=True)))
+
+    def image(self, reduction: Reduction) -> None:
+        """What is kept of an image: cut-outs around the fibres."""
+        stamps = Stamps.of(reduction)
+        with self._lock:
+            self._stamps = stamps
 
     def rests(self, angles_deg: Floats) -> None:
         """Where all are now, as the store has it; `angles_deg` (N, 2), NaN: not known."""
@@ -307,6 +316,18 @@ class Live:
     def plan(self) -> SampledPlan | None:
         """The last plan that was executed; None before the first."""
         return self._plan
+
+    def cutout(self, row: int) -> tuple[Stamps, Floats] | None:
+        """Cut-outs of the last image, and where the metrology fibre in `row` is to be in it, (2,) mm, NaN
+        without a target; None before the first image."""
+        with self._lock:
+            stamps, goals = self._stamps, self._goals
+        if stamps is None:
+            return None
+        if goals is None or not goals.has_target[row]:
+            return stamps, np.full(2, np.nan)
+        alpha_deg, beta_deg = goals.angles_deg[[row]].T
+        return stamps, np.asarray(self.plane.forward(alpha_deg, beta_deg, METROLOGY, np.array([row]))[0])
 
     def plan_about(self) -> dict[str, Any]:
         """Number, label and duration of the last plan."""

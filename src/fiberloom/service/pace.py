@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.operation.source import Source
 
 SLICE_S = 0.02
-"""Virtual time between two looks at the clock of the wall."""
+"""Between two looks at the clock of the wall, at most."""
 _BEHIND_S = 0.1
 """Farther behind than this the clocks are compared anew: a pause is not made up for."""
 
@@ -24,11 +24,12 @@ _BEHIND_S = 0.1
 class PacedTransport:
     """Implements `Transport`: as the one inside, whose clock does not run ahead of the wall's.
 
-    `speed`: virtual seconds a second.
+    `speed`: virtual seconds a second, asked again at each look.
     """
 
-    def __init__(self, inside: Transport, speed: float) -> None:
+    def __init__(self, inside: Transport, speed: Callable[[], float]) -> None:
         self._inside, self._speed = inside, speed
+        self._kept = speed()
         self._begun_s = self.time_s, time.monotonic()
 
     @property
@@ -45,14 +46,18 @@ class PacedTransport:
         end_s = self.time_s + timeout_s
         while True:
             left_s = end_s - self.time_s
-            frames = await self._inside.receive(min(left_s, SLICE_S))
+            slice_s = SLICE_S * max(self._speed(), 1.0)
+            frames = await self._inside.receive(min(left_s, slice_s))
             await self._keep_pace()
-            if frames or left_s <= SLICE_S:
+            if frames or left_s <= slice_s:
                 return frames
 
     async def _keep_pace(self) -> None:
         virtual_s, wall_s = self._begun_s
-        ahead_s = (self.time_s - virtual_s) / self._speed - (time.monotonic() - wall_s)
+        if self._kept != (speed := self._speed()):
+            self._kept = speed
+            virtual_s, wall_s = self._begun_s = self.time_s, time.monotonic()
+        ahead_s = (self.time_s - virtual_s) / speed - (time.monotonic() - wall_s)
         if ahead_s > 0.0:
             await asyncio.sleep(ahead_s)
         elif ahead_s < -_BEHIND_S:
@@ -64,17 +69,20 @@ class PacedTransport:
 
 
 class PacedSource:
-    """Implements `Source`: a twin whose motions last as long as those of an array, over `speed`."""
+    """Implements `Source`: a twin whose motions last as long as those of an array, over `speed`.
+
+    `speed`, virtual seconds a second, may be changed at any time.
+    """
 
     def __init__(self, inside: Source, speed: float) -> None:
-        self._inside, self._speed = inside, speed
+        self._inside, self.speed = inside, speed
 
     async def open(self) -> Hardware:
         """As the one inside, with a bus that keeps pace."""
         hardware = await self._inside.open()
         if hardware.transport is None:
             return hardware
-        return replace(hardware, transport=PacedTransport(hardware.transport, self._speed))
+        return replace(hardware, transport=PacedTransport(hardware.transport, lambda: self.speed))
 
     async def sweep(self, points: int, progress: Progress) -> Calibration | None:
         """As the one inside, as quick as the machine is: `points`, `progress`."""

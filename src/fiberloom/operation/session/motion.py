@@ -15,6 +15,7 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
+from fiberloom.metrology.pipeline import ImageCamera
 from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
@@ -145,7 +146,11 @@ class SessionMotion(FieldMotion):
     async def look(self, unknown: Flags | None = None) -> Measurement:
         """As `FieldMotion.look`; the state says that an image is taken."""
         await self.step(Step.LOOK)
-        return await super().look(unknown)
+        seen = await super().look(unknown)
+        camera = self.hardware.camera
+        if self.witness is not None and isinstance(camera, ImageCamera) and camera.last is not None:
+            self.witness.image(camera.last)
+        return seen
 
     async def move(
         self, number: int, label: str, planned: Plan | Programme, goals: Goals, comparison: bool = False

@@ -144,8 +144,9 @@ class Session:
         try:
             yield held
             await beside(held.settle)
-        except asyncio.CancelledError:
-            await beside(held.leave, Step.STOP, why[0] if why else "stopped by the operator")
+        except asyncio.CancelledError as error:
+            asked = why[0] if why else str(error) or "stopped by the operator"
+            await beside(held.leave, Step.STOP, asked)
             if why:
                 raise StoppedError(f"{why[0]}; what was measured is kept") from None
             raise
@@ -265,6 +266,11 @@ class HeldArray:
         self._motion = SessionMotion(plane, maps, hardware, recorder, progress, self.lock)
         self._motion.witness = witness
         return self._motion
+
+    @property
+    def collided(self) -> list[int]:
+        """Positioners of the last motion that have collided."""
+        return [] if self._motion is None else self._motion.collided
 
     def settle(self) -> None:
         """The command has ended by itself; a state that says already how stays."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fiberloom.metrology import Measurement
+from fiberloom.metrology.pipeline import Reduction
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.planning import Plan
 from fiberloom.typing import Flags, Floats
@@ -34,6 +35,10 @@ class Witness(Recorder, Protocol):
 
     def started(self, time_s: float) -> None:
         """Called when positioners are told to go; `time_s`: of the bus."""
+        ...
+
+    def image(self, reduction: Reduction) -> None:
+        """Called with every image of a camera that takes images, as it was reduced; it is not kept."""
         ...
 
     def rests(self, angles_deg: Floats) -> None:

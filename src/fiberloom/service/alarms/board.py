@@ -30,6 +30,7 @@ CODES: dict[str, AlarmCode] = {
     "collision": AlarmCode(
         Severity.CRITICAL, "look at the image and at the arms, then recover (look first: nothing moves)"
     ),
+    "owner": AlarmCode(Severity.MAJOR, "stop, then give the command again"),
     "alarm": AlarmCode(Severity.MAJOR, "read the text; the begin check of the next command looks again"),
     "camera": AlarmCode(Severity.MAJOR, "look at the camera and the back-illumination; `fiberloom doctor`"),
     "command": AlarmCode(Severity.MAJOR, "read the text, mend the cause, give the command again"),

@@ -2,6 +2,7 @@
 import { get, getBytes, send, stream } from "/page/api.js";
 import { SHAPES, shape } from "/page/look.js";
 import { element, showAlarms, showLog, showPositioner } from "/page/panel.js";
+import { drawNight, showNight } from "/page/night.js";
 import { anglesAt, Plane, readPicture, readPlan } from "/page/plane.js";
 import { drawStages } from "/page/stages.js";
 import { View } from "/page/view.js";
@@ -18,6 +19,7 @@ class Model {
   stages = [];
   alarms = [];
   array = {};
+  night = null;  // none is served
   running = null;
   sequence = 0;
   chosen = -1;
@@ -76,7 +78,8 @@ async function begin() {
 async function snapshot() {
   const state = await get("/api/v1/state");
   Object.assign(model, { sequence: state.seq, seen: state.seen, stages: state.stages, alarms: state.alarms,
-    array: state.array, running: state.running, planAbout: state.plan, exclusions: state.exclusions });
+    array: state.array, running: state.running, planAbout: state.plan, exclusions: state.exclusions,
+    night: state.night && { ...state.night, got: performance.now() } });
   model.states = Uint8Array.from(state.states);
   model.plan = state.plan.label ? readPlan(await getBytes("/api/v1/plan")) : null;
   await log();
@@ -97,11 +100,12 @@ const EVENTS = {
     model.from = null;
     words();
   },
-  move: (event) => { model.seen = event; },
+  move: (event) => { model.seen = event; refreshChosen(); },
   states: ({ states }) => { model.states = Uint8Array.from(states); },
   alarms: ({ alarms }) => { model.alarms = alarms; },
   exclusions: ({ exclusions }) => { model.exclusions = exclusions; refreshChosen(); },
   array: (event) => { model.array = event; },
+  night: (event) => { model.night = { ...event, got: performance.now() }; },
   stopped: ({ text }) => say(text),
   command: async (event) => {
     if (event.result === "running") model.running = event;
@@ -171,11 +175,13 @@ function words() {
   $("running").textContent = running ? `${running.command} by ${running.author}: ${last?.command === running.command ? last.name + count : ""}`
     : array.owner ? `in use by ${array.owner}` : "";
   $("who").textContent = `${model.who.name}, ${model.who.role}`;
-  showAlarms($("alarms"), model.alarms, { acknowledge, choose: (id) => choose(plane.row.get(id) ?? -1, true), propose: exclude, may: (r) => model.may(r) });
+  showAlarms($("alarms"), allAlarms(), { acknowledge, choose: (id) => choose(plane.row.get(id) ?? -1, true), propose: exclude, may: (r) => model.may(r) });
   for (const button of document.querySelectorAll("[data-role]")) {
     button.disabled = !model.may(button.dataset.role);
     button.classList.toggle("disabled", button.disabled);
   }
+  $("night").hidden = $("night-bars").hidden = !model.night;
+  if (model.night) showNight($("night"), model.night, NIGHT);
   $("slider").disabled = !model.plan;
   if (model.plan) {
     $("slider").max = model.plan.duration_s;
@@ -208,7 +214,7 @@ async function chosenKnown() {
   if (chosen < 0) return;
   const id = plane.positioner_id[chosen], known = await get(`/api/v1/positioners/${id}`);
   if (model.chosen !== chosen) return;
-  const live = { hole: plane.hole[chosen], state: plane.states[model.states[chosen]].replace("_", " "),
+  const live = { seen: model.seen?.utc ?? 0, hole: plane.hole[chosen], state: plane.states[model.states[chosen]].replace("_", " "),
     alpha: finite(plane.angles[chosen]), beta: finite(plane.angles[plane.n + chosen]) };
   showPositioner($("positioner"), known, live, (excluded) => {
     const button = element("button", excluded ? "include" : "exclude …", "exclude");
@@ -266,7 +272,31 @@ async function exclude(id, why) {
   if (reason) await command("/api/v1/exclude", { positioners: [id], why: reason });
 }
 
-async function acknowledge(id) { await command(`/api/v1/alarms/${id}/acknowledge`); }
+async function acknowledge(alarm) { await command(`/api/v1/${alarm.night ? "night/" : ""}alarms/${alarm.id}/acknowledge`); }
+
+// of the array and of its night
+function allAlarms() {
+  const night = (model.night?.alarms ?? []).map((alarm) => ({ ...alarm, night: true }));
+  const rank = ({ severity }) => ["critical", "major", "minor", "advice"].indexOf(severity);
+  return [...model.alarms, ...night].sort((a, b) => rank(a) - rank(b));
+}
+
+const NIGHT = {
+  may: (role) => model.may(role),
+  begin: (resume) => command("/api/v1/night/begin", { resume }),
+  pause: () => command("/api/v1/night/pause"),
+  goOn: () => command("/api/v1/night/go_on"),
+  park: () => asked("Fold all at once, and end the night? An exposure is not cut short.", "/api/v1/night/park"),
+  skip: (field) => asked(`Leave ${field} out?`, "/api/v1/night/skip", { field }),
+  first: (field) => command("/api/v1/night/priority", { field, priority: 1 + Math.max(...model.night.fields.map((f) => f.priority)) }),
+  add: async () => {
+    const targets = $("targets").value;
+    if (!targets) { say("add a target list first"); return; }
+    const id = await ask(`New field with ${targets}. Its name?`, { input: targets.replace(/\..*$/, ""), yes: "next" });
+    const seconds = id && await ask(`Exposure of ${id}, s?`, { input: "900", yes: "add" });
+    if (seconds) await command("/api/v1/night/fields", { id, targets, exposure_s: Number(seconds) });
+  },
+};
 
 async function logIn() {
   for (;;) {
@@ -279,7 +309,7 @@ async function logIn() {
 function stop() { command("/api/stop"); }
 
 $("stop").onclick = stop;
-$("park").onclick = () => asked(`Fold all ${model.plane.n} positioners?`, "/api/v1/park");
+$("park").onclick = () => model.night?.goes_on ? NIGHT.park() : asked(`Fold all ${model.plane.n} positioners?`, "/api/v1/park");
 $("home").onclick = () => asked(`Search the datum of all ${model.plane.n} positioners?`, "/api/v1/home", {});
 $("look").onclick = () => command("/api/v1/recover", { look: true });
 $("recover").onclick = () => asked("Take arms apart that touch, and unlock?", "/api/v1/recover", { look: false });
@@ -345,7 +375,7 @@ const KEYS = {
   "+": () => view.zoom(1.25), "-": () => view.zoom(0.8),
   ArrowLeft: () => view.pan(60, 0), ArrowRight: () => view.pan(-60, 0), ArrowUp: () => view.pan(0, 60), ArrowDown: () => view.pan(0, -60),
   n: () => choose((model.chosen + 1) % model.plane.n), p: () => choose((model.chosen - 1 + model.plane.n) % model.plane.n),
-  a: () => { const first = model.alarms.find((alarm) => !alarm.acknowledged); if (first) acknowledge(first.id); },
+  a: () => { const first = allAlarms().find((alarm) => !alarm.acknowledged); if (first) acknowledge(first); },
   t: () => { const all = ["dark", "red", "light"]; theme(all[(all.indexOf($("theme").value) + 1) % 3]); },
   Escape: () => choose(-1),
 };
@@ -370,7 +400,11 @@ function frame(now) {
   const time_s = still ? model.slider : model.time_s;
   if (moving && !still) $("slider").value = time_s;
   if (model.plan) $("slider-time").textContent = `${Number.isFinite(time_s) ? `${time_s.toFixed(1)} of ` : ""}${model.plan.duration_s.toFixed(1)} s`;
-  if (now - bars > 500) { bars = now; drawStages($("stages"), model.stages, view.look.paper); }
+  if (now - bars > 500) {
+    bars = now;
+    drawStages($("stages"), model.stages, view.look.paper);
+    if (model.night) drawNight($("night-bars"), model.night, view.look.paper);
+  }
   requestAnimationFrame(frame);
 }
 

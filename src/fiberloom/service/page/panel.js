@@ -14,7 +14,7 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
   place.replaceChildren(...alarms.map((alarm) => {
     const on = alarm.gone === null;
     const row = element("div", "", `alarm ${alarm.severity}`);
-    row.dataset.id = alarm.id;
+    row.dataset.id = `${alarm.night ? "night-" : ""}${alarm.id}`;
     const subject = element("button", /^\d+$/.test(alarm.subject) ? `positioner ${alarm.subject}` : alarm.subject);
     subject.onclick = () => choose(Number(alarm.subject));
     subject.disabled = !/^\d+$/.test(alarm.subject);
@@ -31,7 +31,7 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
     if (alarm.acknowledged) row.append(element("span", `seen by ${alarm.acknowledged_by}`, "quiet"));
     else {
       const button = element("button", "acknowledge", "acknowledge");
-      button.onclick = () => acknowledge(alarm.id);
+      button.onclick = () => acknowledge(alarm);
       button.disabled = !may("operator");
       row.append(button);
     }
@@ -49,7 +49,7 @@ function table(heads, rows) {
 }
 
 export function showPositioner(place, known, live, buttons) {
-  const { health, exclusions, measurements, events } = known;
+  const { health, exclusions, measurements, events, alarms, nights } = known;
   const in_force = exclusions.filter((e) => e.cleared === null);
   const parts = [element("h2", `positioner ${known.positioner_id}, hole ${live.hole}`)];
   parts.push(element("p", `${live.state}; alpha ${number(live.alpha, 2)}°, beta ${number(live.beta, 2)}°; place ${known.place.how}, `
@@ -58,14 +58,30 @@ export function showPositioner(place, known, live, buttons) {
   parts.push(element("p", `health: ${said}`, "health"));
   for (const e of in_force) parts.push(element("p", `excluded by ${e.who} since ${time(e.since)} UTC: ${e.why}`));
   parts.push(element("div", "", "row", ...buttons(in_force.length > 0)));
+  if (known.image) {
+    const image = element("img", "", "cutout");
+    image.alt = `the last image around the fibre of positioner ${known.positioner_id}`;
+    image.src = `/api/v1/positioners/${known.positioner_id}/image?${live.seen}`;
+    parts.push(element("figure", "", "", image, element("figcaption", "last image: cross, centroid as measured; ring, its goal", "quiet")));
+  }
+  if (nights.some((n) => n.night !== null)) {
+    parts.push(element("h2", "nights"));
+    parts.push(table(["night", "targets", "median um", "worst um"], nights.map((n) => [n.night ?? "none", n.targets, number(n.median_um, 2), number(n.worst_um, 2)])));
+  }
   parts.push(element("h2", "last measurements"));
   parts.push(table(["run", "move", "target", "error um", "state"], measurements.slice(0, 14).map((m) => [
-    m.run, `${m.move} ${m.kind}`, m.target_id ?? "–", number(m.error_um, 2), m.status ?? (m.seen ? "seen" : "not seen"),
+    m.field ? `${m.run} ${m.field}` : m.run, `${m.move} ${m.kind}`, m.target_id ?? "–", number(m.error_um, 2), m.status ?? (m.seen ? "seen" : "not seen"),
   ])));
   if (events.length) {
     parts.push(element("h2", "events"));
     parts.push(element("ol", "", "", ...events.slice(0, 8).map((e) => element("li", `${time(e.utc)} ${e.kind}: ${e.text}`))));
   }
+  if (alarms.length) {
+    parts.push(element("h2", "alarms"));
+    parts.push(element("ol", "", "", ...alarms.slice(0, 8).map((a) => element("li", `${time(a.since)} ${a.severity}, ${a.code}: ${a.text}${a.gone ? ", gone" : ""}`))));
+  }
+  const past = exclusions.filter((e) => e.cleared !== null);
+  if (past.length) parts.push(element("p", `${past.length} past exclusions, the last one by ${past[past.length - 1].who}: ${past[past.length - 1].why}`, "quiet"));
   place.replaceChildren(...parts);
 }
 

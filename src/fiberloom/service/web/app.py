@@ -13,12 +13,16 @@ from fastapi.responses import JSONResponse
 from starlette.websockets import WebSocket
 
 from fiberloom.errors import InputError
+from fiberloom.observatory.interfaces import Interfaces
 from fiberloom.service.array import Busy, ServedArray
 from fiberloom.service.guard.tokens import Identity
 from fiberloom.service.guard.wall import COOKIE, Gate, Wall, cookie_of
 from fiberloom.service.logs import log_event
 from fiberloom.service.metrics import Metrics
+from fiberloom.service.night.served_night import ServedNight
+from fiberloom.service.port import ServedPort
 from fiberloom.service.web.asked import WhoAnswer
+from fiberloom.service.web.night_routes import night_routes
 from fiberloom.service.web.routes import REFUSALS, Viewer, routes
 from fiberloom.service.web.stream import serve_stream, show_pictures
 from fiberloom.service.web.target_root import TargetRoot
@@ -32,15 +36,25 @@ KINDS = {
 }
 
 
-def application(array: ServedArray, gate: Gate, root: TargetRoot) -> FastAPI:
-    """The service of an `array`, behind a `gate`, with target lists below a `root`. The array has begun."""
+def application(
+    array: ServedArray,
+    gate: Gate,
+    root: TargetRoot,
+    night: ServedNight | None = None,
+    interfaces: Interfaces | None = None,
+) -> FastAPI:
+    """The service of an `array`, behind a `gate`, with target lists below a `root`, and of its `night`.
+
+    `interfaces`: of an observatory, which show the same array.
+    """
     metrics = Metrics(array)
     array.hub.listeners += [metrics.event, log_event]
 
     @asynccontextmanager
     async def alive(_: FastAPI) -> AsyncIterator[None]:
         pictures = asyncio.create_task(show_pictures(array.hub, array.live, metrics))
-        yield
+        async with (interfaces or Interfaces()).shown(ServedPort(array, root, night)):
+            yield
         pictures.cancel()
 
     app = FastAPI(
@@ -48,7 +62,9 @@ def application(array: ServedArray, gate: Gate, root: TargetRoot) -> FastAPI:
         description="One array of fibre positioners: its state, its commands.",
     )  # fmt: skip
     app.add_middleware(Wall, gate=gate)
-    app.include_router(routes(array, root))
+    app.include_router(routes(array, root, night))
+    if night is not None:
+        app.include_router(night_routes(night, root))
     _errors(app)
     _logins(app, gate)
     _page(app)

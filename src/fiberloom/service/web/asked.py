@@ -56,6 +56,44 @@ class IncludeAsked(Asked):
     positioners: Positioners
 
 
+FieldName = Annotated[str, Field(min_length=1, max_length=80)]
+
+
+class NightAsked(Asked):
+    """Begin the night, or go on with it."""
+
+    resume: bool = False
+    """Go on with the last night of this queue."""
+
+
+class SkipAsked(Asked):
+    """Leave a field out."""
+
+    field: FieldName
+
+
+class PriorityAsked(Asked):
+    """Move a field in the queue."""
+
+    field: FieldName
+    priority: Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+    """Higher first."""
+
+
+class AddFieldAsked(Asked):
+    """Add a field to the queue of the night."""
+
+    id: FieldName
+    targets: Annotated[str, Field(min_length=1, max_length=200)]
+    """Name of a file below the root of target lists, in mm."""
+    exposure_s: Annotated[float, Field(gt=0.0, le=86400.0)] = 900.0
+    exposures: Annotated[int, Field(ge=1, le=200)] = 1
+    priority: Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)] = 0.0
+    not_before: AwareDatetime | None = None
+    not_after: AwareDatetime | None = None
+    notes: Annotated[str, Field(max_length=200)] = ""
+
+
 class CommandAnswer(BaseModel):
     """A command as it is on record."""
 

@@ -12,6 +12,7 @@ from fastapi import Path as InPath
 from fiberloom.service.array import Author, ServedArray
 from fiberloom.service.guard.tokens import Identity, Role
 from fiberloom.service.live import plane_about
+from fiberloom.service.night.served_night import ServedNight
 from fiberloom.service.web.asked import (
     CommandAnswer,
     ExcludeAsked,
@@ -59,13 +60,13 @@ Key = Annotated[str, Header(alias="Idempotency-Key", max_length=100)]
 PositionerPath = Annotated[int, InPath(ge=0, lt=2**31)]
 
 
-def routes(array: ServedArray, root: TargetRoot) -> APIRouter:
-    """All routes below /api."""
+def routes(array: ServedArray, root: TargetRoot, night: ServedNight | None) -> APIRouter:
+    """All routes below /api of an `array`, with lists below a `root`; the snapshot has its `night` too."""
     router = APIRouter(prefix="/api", responses=REFUSALS)
     _stop(router, array)
     _commands(router, array, root)
     _at_once(router, array)
-    _known(router, array)
+    _known(router, array, night)
     _lists(router, root)
     return router
 
@@ -125,7 +126,7 @@ def _at_once(router: APIRouter, array: ServedArray) -> None:
         return array.acknowledge(author, number).as_dict()
 
 
-def _known(router: APIRouter, array: ServedArray) -> None:
+def _known(router: APIRouter, array: ServedArray, night: ServedNight | None) -> None:
     about = plane_about(array.field.plane)
 
     @router.get("/v1/plane")
@@ -136,7 +137,7 @@ def _known(router: APIRouter, array: ServedArray) -> None:
     @router.get("/v1/state")
     def state(_: Viewer) -> dict[str, Any]:
         """All that is known now, with the number of the last event that is in it."""
-        return snapshot(array)
+        return snapshot(array) | {"night": None if night is None else night.view()}
 
     @router.get("/v1/plan", responses={200: {"content": {"application/octet-stream": {}}}})
     def plan(_: Viewer) -> Response:
@@ -150,6 +151,16 @@ def _known(router: APIRouter, array: ServedArray) -> None:
     def positioner(positioner_id: PositionerPath, _: Viewer) -> dict[str, Any]:
         """What is on record of one positioner: measurements, events, exclusions, and health's verdict."""
         return array.history(positioner_id)
+
+    @router.get(
+        "/v1/positioners/{positioner_id}/image",
+        responses={200: {"content": {"image/png": {}}}},
+        response_class=Response,
+    )
+    def image(positioner_id: PositionerPath, _: Viewer) -> Response:
+        """The last image around the metrology fibre of one positioner: a cross at its measured centroid, a
+        ring at its goal."""
+        return Response(array.cutout(positioner_id), media_type="image/png")
 
     @router.get("/v1/commands")
     def commands(_: Viewer) -> list[CommandAnswer]:

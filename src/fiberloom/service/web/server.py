@@ -90,10 +90,12 @@ class _ArrayServer(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
-def serve(app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket) -> None:
+def serve(
+    app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket, begin: Callable[[], object]
+) -> None:
     """Serves until a signal comes. Everything is at rest when it returns.
 
-    `app`: of the `array`; `at`: where; `sock`: bound there.
+    `app`: of the `array`; `at`: where; `sock`: bound there; `begin`: begins to serve the array.
     """
     config = uvicorn.Config(
         app,
@@ -109,7 +111,7 @@ def serve(app: FastAPI, array: ServedArray, at: Listening, sock: socket.socket) 
     )
     server = _ArrayServer(config, lambda: array.stop_own(Author("the end of the service", "engineer")))
     try:
-        array.begin()
+        begin()
         server.run([sock])
     finally:
         array.close()

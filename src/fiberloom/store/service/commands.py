@@ -59,16 +59,23 @@ class CommandBook:
         self._store, self._address = book.store, book.address
 
     def begin(
-        self, author: str, role: str, command: str, parameters: Mapping[str, Any], key: str = ""
+        self,
+        author: str,
+        role: str,
+        command: str,
+        parameters: Mapping[str, Any],
+        key: str = "",
+        night: int | None = None,
     ) -> int:
         """Writes a command that begins now; its number.
 
         `author` and `role`: of the person or program; `command`: its name; `parameters`: what was asked;
-        `key`: of idempotency.
+        `key`: of idempotency; `night`: to which it is given, None: to the array.
         """
         text = json.dumps(parameters, default=str)
         values = {
             "address": self._address,
+            "night_id": night,
             "utc": datetime.now(UTC),
             "author": author,
             "role": role,

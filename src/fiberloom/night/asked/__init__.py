@@ -1,0 +1,1 @@
+"""What people ask of a night that goes on."""

@@ -1,0 +1,1 @@
+"""A night that is served: shown while it goes on, and what people ask of it."""
