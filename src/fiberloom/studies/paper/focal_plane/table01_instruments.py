@@ -342,13 +342,17 @@ COLUMNS = (
 )
 
 
+def _three_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
 def _cells(row: Row, runs: Sequence[InstrumentRun]) -> list[str]:
     """A line of the drawn table: means over the runs, the worst of all."""
     last = [r.error_um[-1] for r in runs]
     share = float(np.mean([_within(e, row.requirement_um) for e in last]))
 
     def mean(values: list[float], unit: str) -> str:
-        return f"{np.mean(values):.3g} {unit}"
+        return f"{_three_digits(float(np.mean(values)))} {unit}"
 
     return [
         row.name,
@@ -357,7 +361,7 @@ def _cells(row: Row, runs: Sequence[InstrumentRun]) -> list[str]:
         f"{max(len(r.error_um) for r in runs)}",
         mean([_rms(e) for e in last], "µm"),
         mean([float(np.percentile(e, 95)) for e in last], "µm"),
-        f"{max(float(e.max()) for e in last):.3g} µm",
+        _three_digits(max(float(e.max()) for e in last)) + " µm",
         f"{100.0 * share:.1f} %",
         mean([r.reconfiguration_s for r in runs], "s"),
         mean([r.cpu_s for r in runs], "s"),
