@@ -95,7 +95,7 @@ def _with_last(state: NightState, visit: Visited) -> NightState:
 def _told(step: Step, state: NightState, begin: datetime, end: datetime) -> Foreseen:
     names = {Position: "position", Expose: "expose", Wait: "wait", Pause: "wait", Park: "park"}
     field = state.visits[-1].field if isinstance(step, (Position, Expose)) else ""
-    return Foreseen(names[type(step)], field, begin, end)  # type: ignore[index]
+    return Foreseen(names[type(step)], field, begin, end)
 
 
 def _joined(steps: list[Foreseen]) -> list[Foreseen]:

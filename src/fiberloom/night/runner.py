@@ -86,7 +86,7 @@ POSITIONER, LEFT_OUT = "positioner ", "left out"
 APART = "a collision: the arms were moved apart, and folded"
 MOST_COLLISIONS = 2
 """Of one positioner, in one night, before it is left where it is."""
-STAYS = "has collided twice: it stays where it is for this night; look at it, then exclude it or home it"
+STAYS = "has collided or was dead twice: it stays where it is for this night; exclude it or home it"
 
 
 class NightStoppedError(RuntimeError):
@@ -389,10 +389,10 @@ class NightRunner:
             self._alarm("collision", Severity.CRITICAL, subject, why)
 
     def _leave_out(self) -> None:
-        """Who has collided twice stays where it is for the rest of the night, also where it is resumed."""
+        """Who has collided or was dead twice stays where it is for the rest of the night, also if resumed."""
         alarms = [a for a in self.book.alarms() if a.subject.startswith(POSITIONER)]
         told = {a.subject for a in alarms if a.code == LEFT_OUT}
-        now = {a.subject for a in alarms if a.code == "collision" and a.count >= MOST_COLLISIONS}
+        now = {a.subject for a in alarms if a.code in ("collision", "dead") and a.count >= MOST_COLLISIONS}
         for subject in sorted(now - told):
             self._alarm(LEFT_OUT, Severity.MAJOR, subject, STAYS)
         numbers = {int(subject.removeprefix(POSITIONER)) for subject in now | told}
@@ -563,7 +563,12 @@ class NightRunner:
             await fold(motion)
 
 
-ALARMING = {"alarm": Severity.MAJOR, "collision": Severity.CRITICAL, "camera": Severity.ADVICE}
+ALARMING = {
+    "alarm": Severity.MAJOR,
+    "collision": Severity.CRITICAL,
+    "camera": Severity.ADVICE,
+    "dead": Severity.MINOR,
+}
 """Kinds of events of a run that are alarms, by their severity."""
 
 

@@ -37,7 +37,7 @@ def stretched(pixels: Array) -> Array:
     """Grey values of a cut-out, uint8: the background is dark and the wings of a spot can be seen."""
     floor, top = np.percentile(pixels, 25.0), float(pixels.max())
     share = np.clip((pixels.astype(float) - floor) / max(top - floor, 1.0), 0.0, 1.0)
-    return np.round(255.0 * np.sqrt(share)).astype(np.uint8)
+    return np.asarray(np.round(255.0 * np.sqrt(share)), dtype=np.uint8)
 
 
 def _shown(place: tuple[float, float]) -> tuple[float, float] | None:

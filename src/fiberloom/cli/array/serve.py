@@ -151,8 +151,9 @@ def served_night(options: ServeOptions, array: ServedArray) -> ServedNight | Non
     from fiberloom.service.pace import PacedSource
 
     source = array.field.source
-    paced = isinstance(source, PacedSource)
-    pace = NightPace(source, options.speed, options.exposing_speed) if paced else None
+    if not isinstance(source, PacedSource):
+        return ServedNight(array, options.night)
+    pace = NightPace(source, options.speed, options.exposing_speed)
     return ServedNight(array, options.night, pace)
 
 

@@ -17,7 +17,7 @@ from fiberloom.store.nights.records import VisitRecord
 from fiberloom.store.service.alarms import Alarm, Severity
 
 MOST_ALARMS = 30
-OF_THE_ARRAY = ("alarm", "collision", "camera")
+OF_THE_ARRAY = ("alarm", "collision", "camera", "dead")
 """Alarms that the array itself has too."""
 
 
