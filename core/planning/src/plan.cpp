@@ -149,7 +149,7 @@ bool Planner::find_paths() {
     const bool free = repair.run(wanted, last);
     if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
-    if (free) own_ = fewer_points(paths, settings_.enough);
+    if (free) own_ = fewer_points(paths, settings_.most_points, settings_.enough);
     statistics_.expansions += repair.expansions();
     note_spared(paths);
     if (free) {

@@ -6,8 +6,8 @@
 namespace fl::planning {
 namespace {
 
-// An axis shall have 40 points. The approach takes up to three of them.
-constexpr int most_knots = 37;
+// Of the points of an axis the approach takes so many at most, if it is not in several turns.
+constexpr int for_approach = 3;
 // So many at most are left out in a row: more would lead too far from the path.
 constexpr int longest_run = 16;
 
@@ -65,8 +65,8 @@ double angle_at(const Knots &knots, int quarter) {
 // Of one positioner, both axes.
 class Thinning {
   public:
-    Thinning(PathSet &paths, PathIndex i)
-        : paths_(paths), i_(i), member_(paths.at(i)),
+    Thinning(PathSet &paths, PathIndex i, int most_knots)
+        : paths_(paths), i_(i), most_knots_(most_knots), member_(paths.at(i)),
           own_{knots_of(member_, member_.robot.alpha(), &Cell::alpha),
                knots_of(member_, member_.robot.beta(), &Cell::beta)} {}
 
@@ -84,7 +84,7 @@ class Thinning {
         for (int k = 1; k < knots.size(); ++k)
             sharpest_ = std::max(sharpest_, std::abs(slope(knots, k) - slope(knots, k - 1)));
         for (int run = 1; run <= longest_run; ++run)
-            for (int first = 1; knots.size() > most_knots && first + run < knots.size() - 1;)
+            for (int first = 1; knots.size() > most_knots_ && first + run < knots.size() - 1;)
                 leave_out(knots, first, run) ? void(any = true) : void(++first);
         return any;
     }
@@ -116,22 +116,25 @@ class Thinning {
 
     PathSet &paths_;
     PathIndex i_;
+    int most_knots_;
     const Member &member_;
     OwnKnots own_;
     double sharpest_ = 0.0; // change of speed of an axis on its path
 };
 
-bool too_many(const Member &member) {
+bool too_many(const Member &member, int most_knots) {
     return std::max(knots_of(member, member.robot.alpha(), &Cell::alpha).size(),
                     knots_of(member, member.robot.beta(), &Cell::beta).size()) > most_knots;
 }
 
 } // namespace
 
-List<OwnKnots, PathIndex> fewer_points(PathSet &paths, const Enough &enough) {
+List<OwnKnots, PathIndex> fewer_points(PathSet &paths, int most_points, const Enough &enough) {
+    const int most = most_points - for_approach;
     List<OwnKnots, PathIndex> out(paths.size());
     for (const PathIndex i : paths.places())
-        if (!paths.at(i).still && too_many(paths.at(i)) && !enough()) out[i] = Thinning(paths, i).run();
+        if (!paths.at(i).still && too_many(paths.at(i), most) && !enough())
+            out[i] = Thinning(paths, i, most).run();
     return out;
 }
 

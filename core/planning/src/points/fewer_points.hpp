@@ -18,10 +18,10 @@ struct OwnKnots {
     Knots alpha, beta;
 };
 
-// Takes points from every axis that has too many, as far as that keeps all apart. The paths then sweep what
-// is sent; no other path may be sought afterwards.
+// Takes points from every axis that has more than these, as far as that keeps all apart. The paths then sweep
+// what is sent; no other path may be sought afterwards.
 // @pre no two paths conflict.
-List<OwnKnots, PathIndex> fewer_points(PathSet &paths, const Enough &enough);
+List<OwnKnots, PathIndex> fewer_points(PathSet &paths, int most_points, const Enough &enough);
 
 // Makes the motion of a path, as it is sent, one along these knots.
 void follow(const OwnKnots &own, double quarter_s, Motion &motion);
