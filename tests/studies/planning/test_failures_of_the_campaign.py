@@ -5,7 +5,7 @@ import pytest
 from benchmarks.planning import pairs
 from benchmarks.planning.campaign import Array, pocketed
 
-from fiberloom.planning import PlanSettings, plan
+from fiberloom.planning import PlanSettings, bound_s, plan
 
 
 def array_at(buffer_mm: float) -> Array:
@@ -26,10 +26,30 @@ def test_beside_one_in_a_pocket_as_many_arrive_as_can(seed, buffer_mm, kept_away
     ends_deg = array.ends_of(seed)
     centre = array.bodies.centre
     near = np.flatnonzero(np.abs(centre - centre[array.bodies.row_of(kept_away)]) < 60.0)
-    settings = PlanSettings(collision_buffer_mm=buffer_mm)
+    settings = PlanSettings(collision_buffer_mm=buffer_mm, effort=0.2)
     start_deg, goal_deg = (end[near] for end in ends_deg)
     made = plan(array.plane.select(near), start_deg, goal_deg, seed=seed, settings=settings)
     assert set(made.refused) == refused
     proven = pocketed(array.bodies, list(made.refused), ends_deg, buffer_mm)
     assert set(proven) == refused
     assert "not beside all that arrive" in proven[kept_away]
+
+
+def test_what_holds_the_slowest_plan_up():
+    """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.44 of its straight way.
+    200 is in a pocket beside it, 689 and 1155 cross it.
+    """
+    array = array_at(2.0)
+    start_deg, goal_deg = array.ends_of(160)
+
+    def over_the_bound(which) -> float:
+        rows = [array.bodies.row_of(number) for number in which]
+        ends_deg = start_deg[rows], goal_deg[rows]
+        plane = array.plane.select(rows)
+        made = plan(plane, *ends_deg, settings=PlanSettings(collision_buffer_mm=2.0))
+        assert 501 not in made.refused
+        return made.duration_s / bound_s(plane, *ends_deg, refused=made.refused)
+
+    alone, among = over_the_bound([501]), over_the_bound([200, 501, 689, 1155])
+    assert alone == pytest.approx(1.437, abs=0.001)
+    assert 1.6 < among < 1.72
