@@ -60,6 +60,11 @@ class Bodies:
         along = np.exp(1j * second)
         return elbow + self.segment[0] * along, elbow + self.segment[1] * along
 
+    def lines_of(self, rows: Ints, angles_deg: Floats) -> tuple[Floats, Floats]:
+        """Both ends of the centre lines of some arms; angles (N, 2) deg of all."""
+        ends = [self.lines(int(row), *np.radians(angles_deg[row])) for row in rows]
+        return np.array([p for p, _ in ends]), np.array([q for _, q in ends])
+
     def near_obstacles(self, row: int, radius: float) -> Ints:
         """Which obstacles an arm of this radius can touch."""
         here = np.array([self.centre[row]])

@@ -17,6 +17,7 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,13 +28,13 @@ from benchmarks.faults.campaign import Campaign, interruptible
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane, write_layout
 from fiberloom.planning import bound_s, random_configuration, write_configuration
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 
 from . import goals, mutants, pairs
 from .bodies import Bodies, read_bodies
 from .builds import claim, mark_of_build
 from .goals import Line
-from .pockets import Pocket, Way, flood
+from .pockets import Pocket, Way, flood, meets_one
 
 REASON = "pair.json"
 
@@ -156,14 +157,21 @@ def pocketed(
 ) -> dict[int, str]:
     """Of positioners that a plan refuses, those that cannot arrive, with the proof in words.
 
-    First alone; then those that positioners in pockets, wherever there, keep from it.
+    First alone; then those that positioners in pockets, wherever there, keep from it, or that cannot arrive
+    together with all that do: one in a pocket always meets one of their goals.
     """
     pockets: dict[int, Pocket] = {}
     proven: dict[int, str] = {}
+    rows = [bodies.row_of(number) for number in refused]
     while True:
         before = len(proven)
-        for number in [n for n in refused if n not in proven]:
-            row = bodies.row_of(number)
+        for number, row in zip(refused, rows, strict=True):
+            if number in proven:
+                continue
+            arrive = np.setdiff1d(np.arange(len(bodies.centre)), [k for k in rows if k != row])
+            if why := _one_too_many(bodies, row, arrive, pockets, ends_deg[1], buffer_mm):
+                proven[number] = why
+                continue
             found = flood(bodies, row, (ends_deg[0][row], ends_deg[1][row]), buffer_mm, pockets)
             if found.way == Way.NONE:
                 others = f" beside {len(pockets)} in pockets" if pockets else " alone"
@@ -172,6 +180,18 @@ def pocketed(
                     pockets[row] = found.pocket
         if len(proven) == before:
             return proven
+
+
+def _one_too_many(
+    bodies: Bodies, row: int, arrive: Ints, pockets: Mapping[int, Pocket], goal_deg: Floats, buffer_mm: float
+) -> str | None:
+    """Why the goals of these rows, this one's among them, cannot all be held; None: nothing shows it."""
+    for other, pocket in pockets.items():
+        near = np.intersect1d(arrive, bodies.neighbours(other, buffer_mm))
+        if row in near and meets_one(pocket, bodies.lines_of(near, goal_deg), buffer_mm):
+            name = bodies.positioner_id[other]
+            return f"not beside all that arrive: {name}, in a pocket, meets one of their goals"
+    return None
 
 
 # failures

@@ -12,6 +12,9 @@ Bodies are those that rest for good: fiducials and guide cameras. All positioner
 A positioner that is in a pocket itself can move within the pocket alone; it shuts a cell of another where
 both overlap wherever in its pocket it is. Its places are halved again and again (`Places`): how near the
 middle one is tells of those around it, and single places are looked at only where that is not enough.
+
+At the end of a plan, one in a pocket is somewhere in it and all that arrive are at their goals. If it
+overlaps one of these goals wherever in its pocket it is, they cannot all arrive (`meets_one`).
 """
 
 from __future__ import annotations
@@ -87,6 +90,12 @@ def flood(
         if not near and _area(open_, first, EDGES)[last]:
             return Found(Way.THERE, cell_deg)
     return Found(Way.UNKNOWN, CELLS_DEG[-1])
+
+
+def meets_one(pocket: Pocket, arms: tuple[Floats, Floats], buffer_mm: float) -> bool:
+    """Whether one in a pocket, wherever there, overlaps one of these arms at rest (ends (n,) complex, mm)."""
+    here = (end[:, None] for end in pocket.ends)
+    return bool((between(*here, *arms).min(axis=1) < 2.0 * buffer_mm - pocket.within_mm).all())
 
 
 def _area(free: Flags, first: tuple[int, int], structure: Ints) -> Flags:

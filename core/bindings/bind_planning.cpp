@@ -269,6 +269,7 @@ void bind_plan(nb::module_ &m) {
         .def_rw("first_deadline", &Settings::first_deadline, "over the time that the longest path needs")
         .def_rw("last_deadline", &Settings::last_deadline, "beyond this a positioner is given up")
         .def_rw("effort", &Settings::effort, "scales how long the repair goes on")
+        .def_rw("most_points", &Settings::most_points, "of an axis over the bus, where that keeps all clear")
         .def_rw("approach_turns", &Settings::approach_turns,
                 "positioners may come down to their goals in so many turns, if they must; 1: all together")
         .def_rw("seed", &Settings::seed)

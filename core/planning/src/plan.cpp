@@ -1,6 +1,7 @@
 #include "fiberloom/planning.hpp"
 #include "goals/goal_feasibility.hpp"
 #include "motion/motion.hpp"
+#include "points/fewer_points.hpp"
 #include "search/repair.hpp"
 
 #include <algorithm>
@@ -61,6 +62,7 @@ class Planner {
     List<PositionerIndex, PathIndex> positioner_of_;
     std::optional<PathSet> before_;                      // of the round before, until one was given up ...
     List<PositionerIndex, PathIndex> positioner_before_; // ... and whose its paths are
+    List<OwnKnots, PathIndex> own_;                      // of those that do not go as their paths do
     std::vector<Motion> motions_;
     std::vector<Approach> approaches_;
     Statistics statistics_;
@@ -147,6 +149,7 @@ bool Planner::find_paths() {
     const bool free = repair.run(wanted, last);
     if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
+    if (free) own_ = fewer_points(paths, settings_.most_points, settings_.enough);
     statistics_.expansions += repair.expansions();
     note_spared(paths);
     if (free) {
@@ -219,6 +222,7 @@ void Planner::keep(const PathSet &paths) {
         if (paths.at(m).still) continue;
         const Descent &descent = goals_.descent(i);
         motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, descent);
+        follow(own_[m], clock_.quarter_s, motions[i]);
         if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, last));
     }
     motions_.assign(motions.begin(), motions.end());

@@ -92,6 +92,13 @@ class Settings:
     def effort(self, arg: float, /) -> None: ...
 
     @property
+    def most_points(self) -> int:
+        """of an axis over the bus, where that keeps all clear"""
+
+    @most_points.setter
+    def most_points(self, arg: int, /) -> None: ...
+
+    @property
     def approach_turns(self) -> int:
         """
         positioners may come down to their goals in so many turns, if they must; 1: all together

@@ -87,6 +87,8 @@ class PlanSettings:
     approach_turns: int = 4
     """In so many turns positioners may come down to their goals where together they would touch; each one
     that is used lengthens the plan by an approach. 1: all together."""
+    most_points: int = 40
+    """An axis that would get more points over the bus leaves out some, as far as all stay clear."""
     budget_s: float | None = None
     """Processor time that a plan may take, s; None: what it needs. When it is used up, positioners that still
     meet others are given up, and the rest is neither hurried nor straightened: what is there by then is
@@ -271,6 +273,7 @@ def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Pl
     settings.last_deadline = chosen.last_deadline
     settings.effort = chosen.effort
     settings.approach_turns = chosen.approach_turns
+    settings.most_points = chosen.most_points
     settings.seed = seed
     if chosen.progress is not _silent:
         settings.tell(chosen.progress)

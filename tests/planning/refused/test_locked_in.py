@@ -22,6 +22,6 @@ def test_what_is_in_vain_ends():
     plane = replace(plane, fiducials=np.vstack([plane.fiducials, LOST_MM]))
     made = plan(plane, HERE_DEG, GOAL_DEG, seed=2, approach_deg=0.82)
     assert "its goal touches fiducial 62" in made.refused[278]  # and no way to the place it was sent to
-    assert 50 < made.statistics["repairs"] < 3000  # 4000 until repairs in vain were counted
+    assert 50 < made.statistics["repairs"] < 3000
     assert len(made.refused) <= 3
     assert made.statistics["expansions"] < 20_000_000

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.planning import pairs, pockets
 from benchmarks.planning.bodies import Bodies, between, read_bodies
 from benchmarks.planning.campaign import pocketed
-from benchmarks.planning.pockets import Places, Way, flood
+from benchmarks.planning.pockets import Places, Way, flood, meets_one
 
 from fiberloom.instruments import write_layout
 
@@ -63,11 +63,31 @@ def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
     found = pocketed(bodies, [1, 2], (start, goal), BUFFER_MM)
     assert set(found) == {1, 2}
     assert "alone" in found[1]
-    assert "beside 1" in found[2]
+    assert "1, in a pocket" in found[2]
     # while the first is not in a pocket, it can make way: the second is no case of it
     assert pocketed(bodies, [2], (start, goal), BUFFER_MM) == {}
     free = made([0.0, -22.0], [])
     assert pocketed(free, [1, 2], (start, goal), BUFFER_MM) == {}
+
+
+def test_of_two_goals_that_one_in_a_pocket_can_only_leave_alone_one_by_one_one_is_refused_rightly():
+    """The first can turn by 80 deg between four discs: above it meets the second's goal, below another."""
+    discs = [(6.0, 150.0), (6.0, 210.0), (17.0, 80.0), (17.0, 280.0)]
+    bodies = made([0.0, 22.4 * np.exp(1j * np.pi / 3), 22.4 * np.exp(-1j * np.pi / 3)], discs)
+    goal = np.array([[20.0, 120.0], [297.0, 284.0], [55.0, 64.0]])
+    start = np.vstack([[180.0, 180.0], goal[1:]])
+    found = pocketed(bodies, [1, 2], (start, goal), BUFFER_MM)
+    assert set(found) == {1, 2}
+    assert "alone" in found[1]
+    assert "not beside all that arrive: 1" in found[2]
+    assert set(pocketed(bodies, [1, 3], (start, goal), BUFFER_MM)) == {1, 3}
+    # each of them could arrive without the other: to refuse both is no proof
+    pocket = flood(bodies, 0, (start[0], goal[0]), BUFFER_MM).pocket
+    assert pocket is not None
+    both = bodies.lines_of(np.array([1, 2]), goal)
+    assert meets_one(pocket, both, BUFFER_MM)
+    for one in (0, 1):
+        assert not meets_one(pocket, (both[0][[one]], both[1][[one]]), BUFFER_MM)
 
 
 def lines(random, n, spread_mm):

@@ -73,6 +73,7 @@ struct Settings {
     double last_deadline = 2.0;   // beyond this a positioner is given up
     double effort = 1.0;          // scales how long the repair goes on before one is given up
     int approach_turns = 4;       // in so many turns positioners may come down to their goals, if they must
+    int most_points = 40;         // of an axis: beyond that points are left out, as far as all stay clear
     std::uint64_t seed = 0;
     Watch watch = [](const char *, int, int) {};
     Enough enough = [] { return false; };

@@ -24,6 +24,7 @@ int find(const List<double> &lines, double value) {
 } // namespace
 
 AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
+    zero_rad_ = span.zero_rad;
     const double way = span.goal_rad - span.start_rad;
     const int between = static_cast<int>(std::ceil(std::abs(way) / step_rad - 1e-9));
     lines_.push_back(span.start_rad);
@@ -41,6 +42,12 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
     for (int line = 0; line < size(); ++line)
         for (int s = 0; s < slots; ++s)
             turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
+}
+
+bool AxisGrid::straight(int line, VelocityChange change) const {
+    const double before = angle(line) - angle(line + change.from),
+                 after = angle(line + change.to) - angle(line);
+    return std::abs(after - before) < 1e-12;
 }
 
 bool AxisGrid::same_as(const AxisGrid &other) const {

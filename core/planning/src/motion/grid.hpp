@@ -45,6 +45,9 @@ class AxisGrid {
         return turns_[line * slots + slot(change, k)];
     }
     const Turn &turn(int line) const { return turns_[line * slots]; }
+    Turn turn_at(double angle_rad) const { return fl::planning::turn(angle_rad + zero_rad_); }
+    // Whether the axis keeps its speed at a line.
+    bool straight(int line, VelocityChange change) const;
 
   private:
     // on the line; half and a quarter of the way to the line below, above; the three cut corners
@@ -69,6 +72,7 @@ class AxisGrid {
 
     List<double> lines_;
     List<Turn> turns_;
+    double zero_rad_ = 0.0;
     int start_ = 0;
     int goal_ = 0;
 };

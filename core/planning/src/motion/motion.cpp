@@ -17,12 +17,6 @@ void add_point(Motion &motion, double time_s, Angles angles) {
     motion.angles.push_back(angles);
 }
 
-bool straight(const AxisGrid &axis, int line, VelocityChange change) {
-    const double before = axis.angle(line) - axis.angle(line + change.from),
-                 after = axis.angle(line + change.to) - axis.angle(line);
-    return std::abs(after - before) < 1e-12;
-}
-
 Angles angles_at(const Robot &robot, Cell c, VelocityChanges changes, int k) {
     return {robot.alpha().angle(c.alpha, changes.alpha, k), robot.beta().angle(c.beta, changes.beta, k)};
 }
@@ -120,8 +114,8 @@ Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Cl
     for (int step = 0; step <= steps; ++step) {
         const Cell here = cell_at(path, step);
         const VelocityChanges changes = changes_at(path, step);
-        if (straight(robot.alpha(), here.alpha, changes.alpha) &&
-            straight(robot.beta(), here.beta, changes.beta))
+        if (robot.alpha().straight(here.alpha, changes.alpha) &&
+            robot.beta().straight(here.beta, changes.beta))
             continue;
         for (int k : {1, 3})
             if (step > 0 || k > 1) // the first point is there already

@@ -41,6 +41,17 @@ SweptArm Robot::swept(Cell c, VelocityChanges changes) const {
     return swept;
 }
 
+SweptArm Robot::swept(Cell near, const Angles (&at)[quarters + 1]) const {
+    SweptArm swept;
+    for (int k = 0; k <= quarters; ++k)
+        swept.at[k] = body_.line(alpha_.turn_at(at[k].alpha_rad), beta_.turn_at(at[k].beta_rad));
+    swept.bulge_mm = bulge_mm_ + in_hand_mm(near);
+    swept.extra_mm = body_.extra_mm;
+    swept.shape = body_.shape;
+    measure_displacement_bound(swept);
+    return swept;
+}
+
 // What is kept in hand counts as if the arm bulged so much more.
 void Robot::keep_in_hand(double mm, double free_rad) {
     in_hand_mm_ = mm;

@@ -62,6 +62,8 @@ class Robot {
         return displacement_bounds_[changes.code()];
     }
     SweptArm swept(Cell c, VelocityChanges changes) const;
+    // At these angles at the borders of the quarters, near a cell; nowhere faster than on the grid.
+    SweptArm swept(Cell near, const Angles (&at)[quarters + 1]) const;
     // No step around a cell takes a point of the arm farther than this from its place at the cell, with what
     // is kept in hand.
     double widest_displacement_mm() const { return widest_displacement_mm_; }

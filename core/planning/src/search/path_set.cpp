@@ -98,6 +98,22 @@ void PathSet::set_path(PathIndex i, const List<Cell> &path) {
     m.presence = Presence::path;
 }
 
+bool PathSet::retrace(PathIndex i, int first, const List<SweptArm> &swept) {
+    Member &m = at(i);
+    if (!std::all_of(swept.begin(), swept.end(), [&](const SweptArm &s) { return m.robot.clear(s); }))
+        return false;
+    SavedPath before = save(i);
+    for (int k = 0; k < swept.size(); ++k) {
+        m.swept[first + k] = swept[k];
+        m.circles[first + k] = circle_of(swept[k]);
+    }
+    count_conflicts(i);
+    if (m.conflicts.empty()) return true;
+    restore(std::move(before));
+    count_conflicts(i);
+    return false;
+}
+
 void PathSet::keep_still(PathIndex i) {
     set_path(i, List<Cell>(steps_ + 1, at(i).robot.start()));
     at(i).still = true;

@@ -102,6 +102,8 @@ class PathSet {
     // Seeks paths of two or three at once; sets none of them.
     bool seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search);
     void set_path(PathIndex i, const List<Cell> &path);
+    // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
+    bool retrace(PathIndex i, int first, const List<SweptArm> &swept);
     void keep_still(PathIndex i);
     // Gives it the path that it had in another set, if it has the same places and no body at rest in its way.
     void take_over(PathIndex i, const Member &before);

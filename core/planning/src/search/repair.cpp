@@ -33,9 +33,9 @@ constexpr int late_patience = 8; // repairs around a pair that meets only if one
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
 constexpr int least_rounds = 2000;
-// States that are looked at since fewer paths met, before one is given up: a second per million. A whole plan
-// of 500 takes about one million.
-constexpr std::int64_t least_vain = 5000000, vain_per_robot = 100000;
+// States that are looked at since fewer paths met, before one is given up: about a second per million. Where
+// it has gone on in 66 plans of 500, at most 0.36 million came between.
+constexpr std::int64_t least_vain = 1000000, vain_per_robot = 2000;
 // Repairs since fewer paths met, before one is given up; so many more for each pair that meets. Counted in
 // nine slow plans of 500 at 2.5 and 3.0 mm: no knot that came undone took more than 452.
 constexpr int least_repairs_in_vain = 1000, repairs_in_vain_per_pair = 100;
