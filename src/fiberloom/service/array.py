@@ -369,7 +369,7 @@ class ServedArray:
         await asyncio.to_thread(self._ended, running, result, text)
 
     def _ended(self, running: RunningCommand, result: CommandResult, text: str) -> None:
-        """Books the end of a command, and nobody begins one in between."""
+        """Books the end of a command; none is begun in between."""
         with self._lock:
             self._book_end(running, result, text)
 

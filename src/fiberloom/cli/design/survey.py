@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.design.coverage import DesignOptions
+from fiberloom.cli.design.throughput import ExposureOptions
 from fiberloom.cli.options import require_file, require_instrument
 from fiberloom.cli.terminal import waiting
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DesignSurveyOptions(DesignOptions):
+class DesignSurveyOptions(ExposureOptions):
     """Of `fiberloom design survey`."""
 
     targets: Annotated[Path, typer.Option(help="The list, in mm, of one field of the array.")]
@@ -25,7 +25,6 @@ class DesignSurveyOptions(DesignOptions):
     share: Annotated[
         float, typer.Option(help="Of the visits to targets in reach that are to be made, 0 to 1.")
     ] = 0.95
-    exposure: Annotated[float, typer.Option(help="Length of an exposure, s.")] = 900.0
     overhead: Annotated[
         float, typer.Option(help="From one exposure to the next: readout, move, corrections, s.")
     ] = 60.0

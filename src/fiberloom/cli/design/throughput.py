@@ -17,7 +17,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThroughputOptions(DesignOptions):
+class ExposureOptions(DesignOptions):
+    """Of commands that count exposures."""
+
+    exposure: Annotated[float, typer.Option(help="Length of an exposure, s.")] = 900.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThroughputOptions(ExposureOptions):
     """Of `fiberloom design throughput`."""
 
     core: Annotated[float, typer.Option(help="Diameter of the fibre in the focal plane, um.")]
@@ -28,7 +35,6 @@ class ThroughputOptions(DesignOptions):
     ] = None
     remains: Annotated[float, typer.Option(help="Share of an error that a correction leaves.")] = 0.24
     each: Annotated[float, typer.Option(help="Time of a correction, s; 0 if hidden behind a readout.")] = 9.5
-    exposure: Annotated[float, typer.Option(help="Length of an exposure, s.")] = 900.0
     defocus: Annotated[
         float, typer.Option(help="Of the fibres along the beam, um rms (design budget); with --focal-ratio.")
     ] = 0.0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 _PEAK = "VmHWM:"
-_BYTES_PER_KIB = 1024
+_BYTES_PER_KIB = 2**10
 
 
 def forget_peak() -> None:
