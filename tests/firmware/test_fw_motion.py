@@ -104,6 +104,7 @@ ramps = st.lists(st.tuples(st.floats(0.05, 0.6), st.floats(-11.7, 11.7)), min_si
 
 @given(ramps, st.floats(0, 0.3))
 @example([(0.5, -2.0), (0.5, 0.0), (0.125, 0.015625), (0.25, 0.00390625)], 0.0)
+@example([(0.5, 4e-9)], 0.25)  # less than a count: no way at all
 @settings(max_examples=25, deadline=None)
 def test_a_trajectory_of_straight_lines_is_followed_and_ends_exactly(segments, first_s):
     """Corners are steps of up to 23 deg/s: no collision, no saturation, the end to the tolerance."""
@@ -112,7 +113,7 @@ def test_a_trajectory_of_straight_lines_is_followed_and_ends_exactly(segments, f
     for duration, speed in segments:
         time_s += duration
         deg += duration * speed
-        points.append((time_s, deg))
+        points.append((time_s, round(deg * COUNTS_PER_DEG) / COUNTS_PER_DEG))  # as the bus has it
     unit.follow(points, points[:1])
     log = log_of(unit, 0)
     assert not unit.unsolicited

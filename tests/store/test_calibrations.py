@@ -24,8 +24,10 @@ TESTED = {
     "repeatability",
     "fibres",
     "gravity",
+    "steppers",
 }
-"""Here, in test_learning.py, test_bench_commands.py, test_calibrate_fibres.py, test_calibrate_gravity.py."""
+"""Here, in test_learning.py, test_bench_commands.py, test_calibrate_fibres.py, test_calibrate_gravity.py,
+test_kept_units.py."""
 LOOK_BACK = {"history", "undo"}
 
 

@@ -10,6 +10,7 @@ from fiberloom.cli.calibrate.steppers import SteppersOptions, steppers
 from fiberloom.drive.steppers import KnownUnits
 from fiberloom.drive.steppers.kept import read_units, save_units
 from fiberloom.errors import InputError
+from fiberloom.store.listing import runs_below
 from fiberloom.targets.generate import random_targets
 from fiberloom.twin.motors.arrays import source_of
 
@@ -35,6 +36,11 @@ def test_the_file_gives_back_what_the_bench_has_found(folder):
     # units are found by their numbers, in any order
     some = PLANE.select([7, 2])
     np.testing.assert_array_equal(read_units(folder / "units.npz", some).error_deg, found.error_deg[[7, 2]])
+
+
+def test_every_unit_that_was_calibrated_has_its_row(folder):
+    (row,) = runs_below(str(folder))
+    assert (row["calibrations"], row["instrument"], row["status"]) == ("steppers 12", "megara", "finished")
 
 
 def test_the_command_tells_the_sizes_that_the_twin_has_drawn(folder):

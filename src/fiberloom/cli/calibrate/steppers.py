@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,6 +37,7 @@ def steppers(options: SteppersOptions) -> int:
 
     from fiberloom.drive.steppers.kept import save_units
     from fiberloom.report.outputs import marks
+    from fiberloom.store.calibrations import record_calibration
     from fiberloom.twin.motors.arrays import source_of
     from fiberloom.twin.steppers.source import StepperSource
 
@@ -46,9 +48,12 @@ def steppers(options: SteppersOptions) -> int:
             f"{plane.instrument.name}: its motors are no steppers; known are megara, moons and lamost"
         )
     known = source.known
-    save_units(known, plane, options.out / "units.npz")
-    summary = marks(plane, options.seed) | _found(known, plane)
+    file, stamp = options.out / "units.npz", marks(plane, options.seed)
+    save_units(known, plane, file)
+    summary = stamp | _found(known, plane)
     write_whole(options.out / "units.json", json.dumps(summary, indent=2) + "\n")
+    well = [int(number) for row, number in enumerate(plane.positioner_id) if row not in known.why]
+    record_calibration(file, "steppers", well, stamp, " ".join(sys.argv))
     if options.as_json:
         options.print_json(summary)
     else:
