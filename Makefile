@@ -97,9 +97,9 @@ $(SAG): $(ARMS)
 	@echo "6 of 7: how arms sag, by images at six rotator angles in each of six configurations"
 	$(BIN)/fiberloom calibrate gravity $(TWIN) --arms $(ARMS) --out $(@D)
 
-# a file to a worker: what its tests share is prepared once
+# A file to a worker: what its tests share is prepared once. At the end: what was left out, and what to install.
 test: setup
-	$(BIN)/pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
+	$(BIN)/pytest -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
 
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed

@@ -104,6 +104,15 @@ def test_the_digest_is_of_every_file_of_the_package(tmp_path, monkeypatch):
     assert digests[3] == digests[4]
 
 
+def test_the_core_s_digest_is_of_what_is_compiled(tmp_path, monkeypatch):
+    monkeypatch.setattr(version, "__file__", str(tmp_path / "version.py"))
+    digests = []
+    for name in ("_core.cpython-311.so", "presets.toml", "_core.cpython-311.so"):
+        (tmp_path / name).write_bytes(str(len(digests)).encode())
+        digests.append(version.core_digest.__wrapped__())
+    assert digests[0] == digests[1] != digests[2]
+
+
 def test_other_settings_find_no_chunks_of_these(tmp_path):
     run(study(), tmp_path)
     told = []

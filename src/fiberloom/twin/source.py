@@ -22,6 +22,7 @@ from fiberloom.twin.draw import draw_units, put_in
 from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
 from fiberloom.twin.units import Units
+from fiberloom.version import core_digest
 
 KIND = "this twin's tables are true and its air is still; --errors all makes it as a real array is"
 """Note of an observation on a twin without errors."""
@@ -34,6 +35,8 @@ class _Key:
     sweep: SweepSettings
     units: str
     """Digest of the true units: on a twin, other units are other hardware."""
+    core: str
+    """Digest of the compiled core: another twin moves the same units otherwise, to the last bits."""
 
 
 class TwinSource:
@@ -79,7 +82,7 @@ class TwinSource:
 
     def maps_file(self, points: int) -> Path | None:
         """The cache's file of these units."""
-        key = _Key(SweepSettings(points), self.bench_units.digest())
+        key = _Key(SweepSettings(points), self.bench_units.digest(), core_digest())
         return cache_path(self.plane.config_hash(), self.seed, key)
 
     def know(self, file: Path) -> None:

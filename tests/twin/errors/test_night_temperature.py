@@ -161,6 +161,13 @@ def test_one_sweep_serves_every_night():
     assert sources[0].units.digest() != sources[2].units.digest()
 
 
+def test_another_core_is_swept_anew(monkeypatch):
+    source = TwinSource(PLANE, 0, "noise", "")
+    swept = source.maps_file(200)
+    monkeypatch.setattr("fiberloom.twin.source.core_digest", lambda: "of another core")
+    assert source.maps_file(200) != swept
+
+
 # the bus
 
 

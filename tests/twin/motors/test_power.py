@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from mujoco_motor import MICRO, mujoco_with_dcmotor
 
 from fiberloom._core import twin as core
 from fiberloom.bus.identifier import encode
@@ -67,10 +68,7 @@ def test_a_shorted_motor_heats_itself_and_takes_nothing():
 
 def test_the_electrical_side_is_mujoco_s_motor():
     """Commutated at 90 degrees a delta is a DC motor of K = 2 lambda/sqrt(3) and 8 R/9 (tests/twin/plant)."""
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: `pip install mujoco`")
-    if not hasattr(mujoco.mjtGain, "mjGAIN_DCMOTOR"):
-        pytest.skip("this mujoco has no dcmotor actuator: 4.0 or later has")
-    micro = 1e6
+    mujoco = mujoco_with_dcmotor()
     constant = 2.0 / np.sqrt(3.0) * float(PAPER["flux_linkage"])
     resistance = 8.0 / 9.0 * float(PAPER["coil_resistance"])
     model = mujoco.MjModel.from_xml_string(f"""
@@ -78,12 +76,12 @@ def test_the_electrical_side_is_mujoco_s_motor():
           <inertial pos="0 0 0" mass="1e-3" diaginertia="1e-9 1e-9 1e-9"/>
           <joint name="rotor" type="hinge" axis="0 0 1" armature="3.5e-3"/>
         </body></worldbody><actuator><dcmotor joint="rotor" resistance="{resistance}"
-          motorconst="{constant * np.sqrt(micro)} {constant * np.sqrt(micro)}"/></actuator></mujoco>""")
+          motorconst="{constant * np.sqrt(MICRO)} {constant * np.sqrt(MICRO)}"/></actuator></mujoco>""")
     data = mujoco.MjData(model)
     for share, speed in ((1.0, 0.0), (0.7, 200.0), (0.2, 500.0), (-0.5, 300.0)):
-        data.ctrl[0], data.qvel[0] = share * 12.0 * np.sqrt(micro), speed
+        data.ctrl[0], data.qvel[0] = share * 12.0 * np.sqrt(MICRO), speed
         mujoco.mj_forward(model, data)
-        current_A = data.actuator_force[0] / micro / constant
+        current_A = data.actuator_force[0] / MICRO / constant
         angle = np.array([0.4])
         duty = closed_loop(abs(share), angle, 0.0 if share > 0 else np.pi)
         found = power_of_duties(duty, angle, np.array([speed]), PAPER)

@@ -10,16 +10,12 @@ way.
 
 import numpy as np
 import pytest
+from mujoco_motor import MICRO, mujoco_with_dcmotor
 from units_of import gear_of, nominal, plant
 
-mujoco = pytest.importorskip(
-    "mujoco", reason="mujoco is not installed: `pip install mujoco` for the independent check of the motor"
-)
-if not hasattr(mujoco.mjtGain, "mjGAIN_DCMOTOR"):
-    pytest.skip("this mujoco has no dcmotor actuator: 4.0 or later has", allow_module_level=True)
+mujoco = mujoco_with_dcmotor()
 
 TICK_S, SUBSTEPS = 5e-4, 20
-MICRO = 1e6
 MOTOR, MOMENTUM = 0, 1
 
 XML = """
