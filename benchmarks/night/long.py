@@ -1,7 +1,8 @@
 """`python -m benchmarks.night.long [--fields 12] [--hours 0] [--positioners 500] [--faults 8]`.
 
 A night on the twin with faults that are drawn: how long from shutter closed to fibres on target, what was
-planned meanwhile, and whether memory and descriptors stay. With `--hours` the fields come again until dawn.
+planned meanwhile, contacts of arms in the truth of the twin, and whether memory and descriptors stay. Printed
+by field, with `--hours` also by hour, then as JSON. With `--hours` the fields come again until dawn.
 
 The twin's clock does not run while an image is taken or a plan is made: each image is counted as 6.5 s, and
 what was assigned and planned with the shutter closed by the seconds of this machine.
@@ -21,7 +22,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,8 +47,24 @@ IMAGE_S = 6.5
 """Exposure of 5 s and read-out: what a peer's camera takes [A]."""
 KINDS = ("dead", "lying", "dark", "stuck_hall", "mute", "nostart", "refuse", "reboot")
 NOT_HIDDEN = ("position: assigning targets", "position: planning: blind")
+GAP = ("bus_s", "images", "not_hidden_machine_s")
+"""What the time from shutter to ready is made of; images in numbers."""
 SETTLED = 0.25
 """Of the night, after which memory is compared."""
+MOST_S, MOST_GROWTH_MB = 90.0, 50.0
+"""From shutter to ready; of memory since it has settled."""
+
+
+class Look(NamedTuple):
+    """This process as the shutter of a visit opens."""
+
+    share: float
+    """Of the night."""
+    memory_MB: float
+    """Resident."""
+    descriptors: int
+    contacts: int
+    """Of arms so far, in the truth of the twin."""
 
 
 @dataclass
@@ -55,26 +72,39 @@ class Watch:
     """Memory and descriptors of this process as a night goes on."""
 
     begun_s: float = field(default_factory=time.monotonic)
-    rows: list[tuple[float, float, int]] = field(default_factory=list)
-    """Share of the night, resident MB, open descriptors."""
+    looks: list[Look] = field(default_factory=list)
 
-    def look(self, share: float) -> None:
-        """Notes both at this `share` of the night."""
+    def look(self, share: float, contacts: int) -> None:
+        """Notes them at this `share` of the night, and how many `contacts` there were."""
         words = Path("/proc/self/statm").read_text().split()
         resident_MB = int(words[1]) * resource.getpagesize() / 1e6
-        self.rows.append((round(share, 4), round(resident_MB, 1), len(list(Path("/proc/self/fd").iterdir()))))
+        descriptors = len(list(Path("/proc/self/fd").iterdir()))
+        self.looks.append(Look(round(share, 4), round(resident_MB, 1), descriptors, contacts))
 
     def told(self) -> dict[str, Any]:
-        """Growth from a quarter of the night to its end, of the medians of eighths."""
-        early = [r for r in self.rows if SETTLED <= r[0] < SETTLED + 0.125] or self.rows[:1]
-        late = [r for r in self.rows if r[0] >= self.rows[-1][0] - 0.125]
+        """Growth from a quarter of the night, and from its half, to its end; of the medians of eighths."""
+        last = self.looks[-1].share
+        parts = [self._eighth(begin) for begin in (SETTLED, 0.5, last - 0.125)]
+        memory_MB = [median(one.memory_MB for one in part) for part in parts]
         return {
-            "memory_MB": [median(r[1] for r in part) for part in (early, late)],
-            "memory_growth_MB": round(median(r[1] for r in late) - median(r[1] for r in early), 1),
-            "descriptors": [median(r[2] for r in part) for part in (early, late)],
-            "looks": len(self.rows),
+            "memory_MB": memory_MB,
+            "memory_growth_MB": round(memory_MB[2] - memory_MB[0], 1),
+            "memory_growth_of_second_half_MB": round(memory_MB[2] - memory_MB[1], 1),
+            "descriptors": [median(one.descriptors for one in part) for part in parts],
+            "contacts": self.looks[-1].contacts,
+            "looks": len(self.looks),
             "wall_s": round(time.monotonic() - self.begun_s),
+            "cpu_s": round(time.process_time()),
         }
+
+    def _eighth(self, begin: float) -> list[Look]:
+        found = [one for one in self.looks if begin <= one.share <= begin + 0.125]
+        return found or self.looks[:1]
+
+    def by_hour(self, hours: float) -> list[dict[str, Any]]:
+        """The last look in each hour of a night of so many `hours`."""
+        last = {math.ceil(one.share * hours) or 1: one for one in self.looks}
+        return [{"hour": hour, **one._asdict()} for hour, one in last.items()]
 
 
 def drawn_faults(seed: int, ids: np.ndarray[Any, Any], number: int, night_s: float) -> str:
@@ -127,21 +157,34 @@ def carried(folder: Path, asked: argparse.Namespace, watch: Watch) -> tuple[Nigh
     def progress(text: str) -> None:
         if found and text.startswith("expose"):
             share = (found[0].clock.now() - BEGIN).total_seconds() / night_s(asked)
-            watch.look(share)
-            print(f"{share:6.1%} {text} {watch.rows[-1]}", file=sys.stderr, flush=True)
+            truth = found[0].hardware.truth
+            watch.look(share, truth.contacts())
+            print(f"{share:6.1%} {text} {watch.looks[-1]}", file=sys.stderr, flush=True)
 
     end = asyncio.run(carry_out(setup, store, False, progress))
     return NightBook(store, end.night), end, faults
 
 
-def figures(book: NightBook, end: NightEnd) -> dict[str, Any]:
-    """From the record: gaps, plans, what is not hidden."""
+def by_visit(book: NightBook) -> list[dict[str, Any]]:
+    """From the record: of each visit what its fibres came to, and how long that took after the shutter."""
     visits, stages = book.visits(), book.stages()
     gap_s = shutter_to_ready_s(visits, stages, book.exposures())
-    closed_s = {v: sum(s.wall_s for s in stages if s.visit_id == v and s.name in NOT_HIDDEN) for v in gap_s}
-    runs = {v.id: v.run_id for v in visits}
-    images = {v: images_of(book.store, runs[v]) for v in gap_s if runs[v] is not None}
-    whole_s = {v: gap_s[v] + IMAGE_S * images[v] + closed_s[v] for v in images}
+    rows = []
+    for v in visits:
+        row: dict[str, Any] = {"visit": v.id, "field": v.field, "state": v.state, "plan": v.plan_from}
+        row |= {"on_target": v.on_target, "assigned": v.assigned, "rms_um": v.rms_um}
+        if v.id in gap_s and v.run_id is not None:
+            images = images_of(book.store, v.run_id)
+            machine_s = sum(s.wall_s for s in stages if s.visit_id == v.id and s.name in NOT_HIDDEN)
+            row |= {"bus_s": gap_s[v.id], "images": images, "not_hidden_machine_s": machine_s}
+            row["shutter_to_ready_s"] = gap_s[v.id] + IMAGE_S * images + machine_s
+        rows.append({k: round(x, 2) if isinstance(x, float) else x for k, x in row.items()})
+    return rows
+
+
+def figures(book: NightBook, end: NightEnd) -> dict[str, Any]:
+    """From the record: gaps, plans, what is not hidden."""
+    visits, rows = book.visits(), by_visit(book)
     return {
         "status": end.status,
         "why": end.why,
@@ -149,25 +192,39 @@ def figures(book: NightBook, end: NightEnd) -> dict[str, Any]:
         "exposures": sum(e.utc_end is not None for e in book.exposures()),
         "planned_ahead": sum(v.plan_from == "ahead" for v in visits),
         "planned_now": {str(v.plan_from): v.id for v in visits if v.plan_from != "ahead"},
-        "on_target": [v.on_target for v in visits],
-        "assigned": [v.assigned for v in visits],
-        "bus_s": _spread(gap_s.values()),
-        "images": _spread(images.values()),
-        "not_hidden_machine_s": _spread(closed_s.values()),
-        "shutter_to_ready_s": _spread(whole_s.values()),
+        "by_visit": rows,
+        **{name: _spread(rows, name) for name in (*GAP, "shutter_to_ready_s")},
         "alarms": [f"{a.severity} {a.subject}: {a.text} ({a.count})" for a in book.alarms()],
     }
 
 
-def _spread(values: Any) -> dict[str, float]:
-    found = list(values)
+def _spread(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
+    found = [row[name] for row in rows if name in row]
     if not found:
         return {}
     return {"median": round(median(found), 2), "max": round(max(found), 2), "n": len(found)}
 
 
+def table(rows: list[dict[str, Any]]) -> str:
+    """The same as lines of text; the first names the columns."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [names] + [[str(row.get(name, "-")) for name in names] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(word.rjust(width) for word, width in zip(line, widths, strict=True)) for line in lines
+    )
+
+
+def shown(told: dict[str, Any]) -> str:
+    """For the screen: tables by visit and by hour, and the rest as JSON."""
+    rest = {k: v for k, v in told.items() if k not in ("by_visit", "by_hour")}
+    parts = [table(told["by_visit"])] + ([table(told["by_hour"])] if told["by_hour"] else [])
+    return "\n\n".join([*parts, json.dumps(rest, indent=1)])
+
+
 def main() -> int:
-    """Runs it; exit code 1 where the shutter waited longer than 90 s, or memory grew by more than 50 MB."""
+    """Runs it; exit code 1 where the shutter waited longer than 90 s, memory grew by more than 50 MB, or arms
+    touched."""
     parser = argparse.ArgumentParser(description=__doc__)
     for name, value in (("fields", 12), ("positioners", 500), ("seed", 0), ("faults", 8)):
         parser.add_argument(f"--{name}", type=int, default=value)
@@ -178,15 +235,16 @@ def main() -> int:
     asked = parser.parse_args()
     folder, watch = Path(tempfile.mkdtemp(prefix="fiberloom-night-")), Watch()
     book, end, faults = carried(folder, asked, watch)
-    told = {"asked": {k: str(v) for k, v in vars(asked).items()}, "faults": faults}
+    told: dict[str, Any] = {"asked": {k: str(v) for k, v in vars(asked).items()}, "faults": faults}
     told |= figures(book, end) | watch.told()
+    told["by_hour"] = watch.by_hour(asked.hours) if asked.hours else []
     told["report"] = write_report(book, folder).stat().st_size
-    text = json.dumps(told, indent=1)
-    print(text)
+    print(shown(told))
     if asked.out is not None:
-        asked.out.write_text(text + "\n")
-    late = told["shutter_to_ready_s"].get("max", 0.0) > 90.0
-    return int(end.status != "finished" or late or told["memory_growth_MB"] > 50.0)
+        asked.out.write_text(json.dumps(told, indent=1) + "\n")
+    late = told["shutter_to_ready_s"].get("max", math.inf) > MOST_S
+    grown = told["memory_growth_MB"] > MOST_GROWTH_MB
+    return int(end.status != "finished" or late or grown or told["contacts"] > 0)
 
 
 if __name__ == "__main__":

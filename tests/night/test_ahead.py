@@ -12,6 +12,7 @@ from fiberloom.connect import twin_source
 from fiberloom.drive.port import Wanted
 from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.operation.series.ahead import AHEAD, BLEND_S, PlannedAhead
+from fiberloom.planning import plan_in_waves
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +71,19 @@ def test_it_is_proven_from_the_true_start(parts):
     made = ahead(wanted, plan)
     assert asked(drive, made, replace(wanted, obstacles=blocked)) is None
     assert made.told.startswith("not proven from the true start")
+
+
+def test_it_is_not_used_where_the_true_start_takes_more_than_the_supply_gives(parts):
+    """Who waits for a later wave would turn from the start, by as much as it is off."""
+    drive, wanted, _ = parts
+    motors = {"motor_friction_A": (0.01, 0.01), "supply_A": 0.04}
+    care = wanted.obstacles.instrument.care.model_copy(update=motors)
+    plane = replace(
+        wanted.obstacles, instrument=wanted.obstacles.instrument.model_copy(update={"care": care})
+    )
+    waves = plan_in_waves(plane, wanted.here_deg, wanted.goal_deg, most=2, approach_deg=wanted.approach_deg)
+    as_expected = replace(wanted, obstacles=plane)
+    assert asked(drive, ahead(wanted, waves), as_expected) is not None
+    made = ahead(wanted, waves)
+    assert asked(drive, made, replace(as_expected, here_deg=wanted.here_deg + 0.1)) is None
+    assert "more than the supply gives from the true start: the motors take 0." in made.told

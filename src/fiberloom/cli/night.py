@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import STORE_VARIABLE, array_book, command_line, excluded
-from fiberloom.cli.options import JsonOptions, require_file
+from fiberloom.cli.options import JsonOptions, powered, require_file
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -47,6 +47,10 @@ class NightOptions(JsonOptions):
     exclude: Annotated[
         str, typer.Option(help="Positioners left where they are, for this night: numbers with commas.")
     ] = ""
+    power: Annotated[
+        float | None,
+        typer.Option(help="Of the supply for all motors, W, in place of the queue's; plans keep it."),
+    ] = None
     out: Annotated[Path, typer.Option(help="Folder of store, runs and reports.")] = Path("runs")
 
 
@@ -82,7 +86,8 @@ def _field(options: NightOptions, array: QueueArray) -> Field:
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
 
-    plane = queue_plane(array)
+    limit_W = array.power_W if options.power is None else options.power
+    plane = powered(queue_plane(array), limit_W, array.seed)
     bus, camera = options.bus or array.bus or TWIN, options.camera or array.camera
     if not bus.startswith(TWIN) and camera is None:
         raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")

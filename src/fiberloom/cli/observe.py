@@ -14,9 +14,9 @@ from fiberloom.cli.array.options import ArmsFileOptions, ExcludeOptions, array_b
 from fiberloom.cli.options import (
     ErrorsOptions,
     JsonOptions,
-    PlaneOptions,
     PointingOptions,
     RequireOptions,
+    SupplyOptions,
     TimingsOptions,
     naming,
     require_file,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fiberloom.field import Field
-    from fiberloom.instruments import FocalPlane
     from fiberloom.operation.results import Observation
 
 TWIN = "twin:"
@@ -80,7 +79,7 @@ class ObservationOptions(
     ArmsFileOptions,
     RequireOptions,
     ErrorsOptions,
-    PlaneOptions,
+    SupplyOptions,
     TimingsOptions,
     JsonOptions,
 ):
@@ -129,13 +128,6 @@ class ObservationOptions(
             "held up.",
         ),
     ] = False
-    power: Annotated[
-        float | None,
-        typer.Option(
-            help="Of the supply for all motors, W: plans are made slower until they keep it; in place of "
-            "[care]. As `design power` counts."
-        ),
-    ] = None
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results; default: runs/0001, by the number of the run."),
@@ -278,7 +270,7 @@ def field_of(options: Any, camera: str = "image") -> Field:
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
 
-    plane, bus = _powered(options), options.bus or TWIN
+    plane, bus = options.plane(), options.bus or TWIN
     wrong = {"faults": options.faults, "errors": options.errors}
     source = open_hardware(plane, bus, options.camera or camera, seed=options.seed, **wrong)
     field = Field(plane, source, options.seed, options.calibration)
@@ -286,19 +278,6 @@ def field_of(options: Any, camera: str = "image") -> Field:
     if options.bus is not None or field.exclude:
         field.book = array_book(bus, options.store)
     return field
-
-
-def _powered(options: Any) -> FocalPlane:
-    """The plane of the options; with `--power` its plans keep it."""
-    plane: FocalPlane = options.plane()
-    limit_W = getattr(options, "power", None)
-    if limit_W is None:
-        return plane
-    from dataclasses import replace
-
-    from fiberloom.design.power import within_power
-
-    return replace(plane, instrument=within_power(plane.instrument, limit_W, options.seed))
 
 
 def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:

@@ -199,6 +199,40 @@ class PlaneOptions(LayoutOptions):
         return self._plane(self.positioners)
 
 
+@dataclass(frozen=True, kw_only=True)
+class SupplyOptions(PlaneOptions):
+    """Of a command whose plans keep what the supply of the motors gives."""
+
+    power: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the supply for all motors, W: plans are made slower, or in waves, until they keep it; "
+            "in place of [care]. As `design power` counts."
+        ),
+    ] = None
+
+    def plane(self) -> FocalPlane:
+        """The focal plane; with `--power` its plans keep it."""
+        return powered(super().plane(), self.power, self.seed)
+
+
+def powered(plane: FocalPlane, limit_W: float | None, seed: int) -> FocalPlane:
+    """The plane, whose plans keep a limit for all motors in W; None: that of its file.
+
+    `seed`: of the units whose median motor counts.
+    """
+    if limit_W is None:
+        return plane
+    from dataclasses import replace
+
+    from fiberloom.design.power import within_power
+
+    try:
+        return replace(plane, instrument=within_power(plane.instrument, limit_W, seed))
+    except InputError as error:
+        raise InputError(f"--power {limit_W:g}: {error}") from None
+
+
 # checks that need no slow import
 
 

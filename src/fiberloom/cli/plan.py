@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fiberloom.cli.options import JsonOptions, PlaneOptions, naming, require_file, require_folder
+from fiberloom.cli.options import (
+    JsonOptions,
+    PlaneOptions,
+    SupplyOptions,
+    naming,
+    require_file,
+    require_folder,
+)
 from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
 
@@ -151,7 +158,32 @@ def _write(options: AssignOptions, plane: FocalPlane, wanted: TargetList, found:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanOptions(PlaneOptions, JsonOptions):
+class AtOnceOptions(SupplyOptions):
+    """Of a command that keeps how many positioners move at once."""
+
+    at_once: Annotated[
+        int | None,
+        typer.Option(min=1, help="Positioners that move at the same time, at most: a plan comes in waves."),
+    ] = None
+
+    def fed(self, plane: FocalPlane, plans: Sequence[Plan]) -> tuple[bool, dict[str, Any]]:
+        """Whether all plans keep the limits, by the proof of the supply; and what is to be told of it."""
+        from fiberloom.planning import verify_supply
+
+        counted = [verify_supply(plane, made, at_once=self.at_once) for made in plans]
+        told: dict[str, Any] = {"most_at_once": max((c.most_at_once for c in counted), default=0)}
+        supply_A = plane.instrument.care.supply_A
+        if supply_A is not None:
+            peak_A = max((c.peak_A for c in counted), default=0.0)
+            told |= {"peak_A": peak_A, "supply_A": supply_A}
+            if self.power is not None:
+                told |= {"peak_W": self.power * peak_A / supply_A, "power_W": self.power}
+        beyond = [str(c) for c in counted if not c.ok]
+        return not beyond, told | ({"beyond_the_supply": _some(beyond)} if beyond else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions(AtOnceOptions, JsonOptions):
     """Of `fiberloom plan`."""
 
     start: Annotated[Path, typer.Option(help="Configuration CSV: positioner_id,alpha_deg,beta_deg.")]
@@ -308,13 +340,14 @@ def plan(options: PlanOptions) -> int:
     options.prepare()
     with waiting(options.as_json) as wait:
         found = _planned(options, plane, (start_deg, goal_deg), wait)
-    if not found.checked.ok:
-        options.show(_verdict([found.plan], [found.checked]) | {"trajectories": "not written"})
+    fed, supply = options.fed(plane, [found.plan])
+    if not (found.checked.ok and fed):
+        options.show(_verdict([found.plan], [found.checked], fed) | supply | {"trajectories": "not written"})
         return 1
     from fiberloom.report.outputs import marks
 
     found.plan.save(options.out, **marks(plane, options.seed))
-    report = found.report() | {"trajectories": str(options.out)}
+    report = found.report() | supply | {"trajectories": str(options.out)}
     if options.animate is not None:
         try:
             with waiting(options.as_json) as wait:
@@ -340,7 +373,7 @@ def _planned(options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats
         collision_buffer_mm=options.buffer, budget_s=options.budget, late_s=options.late, progress=told
     )
     settings = asked.of(plane)
-    made = planning.plan(plane, *ends, seed=options.seed, settings=settings)
+    made = _made(options, plane, ends, settings)
     wait.say("verifying them in continuous time")
     limits = planning.MotionLimits(collision_buffer_mm=settings.collision_buffer_mm)
     checked = planning.verify(plane, made, goal_deg=ends[1], limits=limits)
@@ -351,13 +384,37 @@ def _planned(options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats
     on_time_s = None
     if options.budget is None:
         wait.say("planning once more, as if none were ever late")
-        on_time = planning.plan(plane, *ends, seed=options.seed, settings=replace(settings, late_s=0.0))
+        on_time = _made(options, plane, ends, replace(settings, late_s=0.0))
         on_time_s = on_time.duration_s
     return _Planned(plane, *ends, settings, made, checked, late, on_time_s)
 
 
+def _made(
+    options: PlanOptions, plane: FocalPlane, ends: tuple[Floats, Floats], settings: PlanSettings
+) -> Plan:
+    """A plan within what the supply gives, and with no more at once than may be."""
+    from fiberloom.planning import plan as all_together
+    from fiberloom.planning.supply import plan_in_waves, plan_within_supply
+
+    def slowed(share: float) -> PlanSettings:
+        return replace(settings, speed_deg_s=share * (settings.speed_deg_s or 0.0), grid_deg=None).of(plane)
+
+    def in_waves(most: int, share: float) -> Plan:
+        return plan_in_waves(plane, *ends, most=most, seed=options.seed, settings=slowed(share))
+
+    def at_share(share: float) -> Plan:
+        if options.at_once is not None:
+            return in_waves(options.at_once, share)
+        return all_together(plane, *ends, seed=options.seed, settings=slowed(share))
+
+    fewer = options.at_once or len(plane)
+    return plan_within_supply(
+        plane.instrument, at_share, lambda most, share: in_waves(min(most, fewer), share)
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
-class VerifyOptions(PlaneOptions, JsonOptions):
+class VerifyOptions(AtOnceOptions, JsonOptions):
     """Of `fiberloom verify`."""
 
     trajectories: Annotated[Path, typer.Argument(help="trajectories.json of `plan` or `observe`.")]
@@ -370,7 +427,7 @@ class VerifyOptions(PlaneOptions, JsonOptions):
 
 
 def verify(options: VerifyOptions) -> int:
-    """Check trajectories in continuous time: clearances, limits, speeds, accelerations.
+    """Check trajectories in continuous time: clearances, limits, speeds, accelerations, the supply.
 
     Exit code 1 where the trajectories are not verified.
     """
@@ -382,7 +439,8 @@ def verify(options: VerifyOptions) -> int:
     plane, asked_mm = options.plane(), options.buffer
     plans = planning.read_plans(options.trajectories, plane, buffer_mm=asked_mm)
     limits = planning.MotionLimits(collision_buffer_mm=asked_mm)
-    verdict = _verdict(plans, [planning.verify(plane, p, limits=limits) for p in plans])
+    fed, supply = options.fed(plane, plans)
+    verdict = _verdict(plans, [planning.verify(plane, p, limits=limits) for p in plans], fed) | supply
     file_mm = min(p.collision_buffer_mm for p in plans)
     verdict |= {
         "checked_with_buffer_mm": file_mm if asked_mm is None else asked_mm,
@@ -399,10 +457,11 @@ def _require_buffer(asked_mm: float | None) -> None:
         raise InputError(f"--buffer {asked_mm:g}: must be a finite number above 0 mm")
 
 
-def _verdict(plans: Sequence[Plan], checks: Sequence[Any]) -> dict[str, Any]:
+def _verdict(plans: Sequence[Plan], checks: Sequence[Any], fed: bool) -> dict[str, Any]:
+    """What the verifier found; `fed`: the supply is enough, and no more move at once than may."""
     return {
         "plans": len(plans),
-        "verified": all(check.ok for check in checks),
+        "verified": fed and all(check.ok for check in checks),
         "collisions": sum(len(check.collisions) for check in checks),
         "violations": _some([str(v) for check in checks for v in check.violations]),
         "min_clearance_mm": min((c.min_clearance_mm for c in checks), default=float("nan")),

@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 from fiberloom.design.gear import move_s, twin_knows
 from fiberloom.errors import InputError
 from fiberloom.instruments import AXES, Instrument, generate
+from fiberloom.planning.supply import PAUSE_S
 from fiberloom.twin import draw_units
 from fiberloom.twin.motors.power import power_of_torque
 from fiberloom.typing import Floats, Records
@@ -225,7 +226,7 @@ def limited(
     full = _array(instrument, plants, motors)
     one_W = full.peak_W / full.n
     if not limit_W >= one_W:
-        raise InputError(f"--limit {limit_W:g}: one positioner takes {one_W:.3f} W; give at least that")
+        raise InputError(f"--limit {limit_W:g}: {_too_little(one_W)}")
 
     def over_W(share: float) -> float:
         return _array(instrument, plants, replace(motors, share=share)).peak_W - limit_W
@@ -235,7 +236,12 @@ def limited(
         share = float(brentq(over_W, SLOWEST, 1.0, xtol=1e-6))
     slower_s = _array(instrument, plants, replace(motors, share=share)).time_s if share else math.inf
     waves = math.ceil(full.n / math.floor(limit_W / one_W))
-    return Limited(limit_W, slower_s, share, waves, waves * full.time_s)
+    return Limited(limit_W, slower_s, share, waves, waves * full.time_s + (waves - 1) * PAUSE_S)
+
+
+def _too_little(one_W: float) -> str:
+    """What to give; rounded up, so that it will do."""
+    return f"one positioner takes {math.ceil(1e4 * one_W) / 1e4:.4f} W; give at least that"
 
 
 def within_power(instrument: Instrument, limit_W: float, seed: int = 0) -> Instrument:
@@ -253,7 +259,7 @@ def within_power(instrument: Instrument, limit_W: float, seed: int = 0) -> Instr
     volt = float(plants[0]["supply"])
     full = _array(instrument, plants, PowerSettings(1))
     if not limit_W >= full.peak_W:
-        raise InputError(f"power {limit_W:g} W: one positioner takes {full.peak_W:.3f} W; give at least that")
+        raise InputError(_too_little(full.peak_W))
     slow = _array(instrument, plants, PowerSettings(1, share=SLOWEST))
     friction = (slow.alpha.peak_A, slow.beta.peak_A)
     added = (full.alpha.peak_A - friction[0], full.beta.peak_A - friction[1])

@@ -55,6 +55,8 @@ class QueueArray(_Table):
     """Of the twin."""
     errors: str = ""
     """Of the twin."""
+    power_W: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    """Of the supply for all motors: plans keep it. None: as the instrument's `[care]` says."""
 
 
 class FieldEntry(_Table):

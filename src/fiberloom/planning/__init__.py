@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from fiberloom.planning.fields import random_configuration, random_pair
     from fiberloom.planning.late import LatePair, LateVerification, verify_late
     from fiberloom.planning.planner import PlanSettings, plan, plan_corrections
+    from fiberloom.planning.supply.proof import SupplyVerification, verify_supply
+    from fiberloom.planning.supply.waves import plan_in_waves
     from fiberloom.planning.trajectories import Approach, Plan, Trajectory, read_plans
     from fiberloom.planning.untangling import Stage, Untangled, UntangleSettings, untangle
     from fiberloom.planning.verification import MotionLimits, Verification, Violation, verify
@@ -26,6 +28,7 @@ __all__ = [
     "Plan",
     "PlanSettings",
     "Stage",
+    "SupplyVerification",
     "Trajectory",
     "UntangleSettings",
     "Untangled",
@@ -34,6 +37,7 @@ __all__ = [
     "bound_s",
     "plan",
     "plan_corrections",
+    "plan_in_waves",
     "random_configuration",
     "random_pair",
     "read_configuration",
@@ -41,6 +45,7 @@ __all__ = [
     "untangle",
     "verify",
     "verify_late",
+    "verify_supply",
     "write_configuration",
 ]
 

@@ -19,6 +19,7 @@ from fiberloom.bus.transport import TransportLost
 from fiberloom.connect import TWIN, is_shared
 from fiberloom.errors import InputError, StoppedError, one_line
 from fiberloom.field import Field
+from fiberloom.memory import give_back
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
@@ -372,6 +373,7 @@ class ServedArray:
         """Books the end of a command; none is begun in between."""
         with self._lock:
             self._book_end(running, result, text)
+        give_back()
 
     def _book_end(self, running: RunningCommand, result: CommandResult, text: str) -> None:
         """What fails here is an alarm: the array is free all the same."""

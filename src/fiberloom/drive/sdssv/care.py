@@ -2,7 +2,7 @@
 
 Without limits nothing is asked of the bus and nothing waits. Each limit acts before a motion begins. A
 verified plan is never stretched or staggered: where a plan would take too much current it is made anew at a
-lower speed, and verified like any other.
+lower speed or in waves, and verified like any other.
 """
 
 from __future__ import annotations
@@ -19,24 +19,20 @@ from fiberloom.drive.sdssv.limits import (
     cold_rule,
     holding_percent,
     motor_speed_rpm,
-    peak_current_A,
     temperature_C,
 )
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import ColdRule
-from fiberloom.planning import Plan, PlanSettings
-
-SPEED_SHARES = (1.0, 0.8, 0.65, 0.5, 0.35, 0.25, 0.18, 0.125)
-"""Of the speed that the temperature allows: the first whose plan the supply can feed is taken. A share that
-would be too much even if the current went down with the speed is not tried."""
+from fiberloom.planning import Plan, PlanSettings, plan, plan_corrections
+from fiberloom.planning.supply import plan_in_waves, plan_within_supply, verify_supply
 
 
 class MotorCare:
     """Keeps the limits of an instrument's `[care]` in the motions of one field."""
 
     def __init__(self, plane: FocalPlane, client: Client) -> None:
-        self.instrument, self.client = plane.instrument, client
+        self.plane, self.instrument, self.client = plane, plane.instrument, client
         self.rule: ColdRule | None = None
         """The cold rule in force."""
         self.at_C: float | None = None
@@ -71,26 +67,25 @@ class MotorCare:
         """The fastest plan that the temperature allows and the supply can feed, made beside the event loop.
 
         `make`: a planner, called with `arguments`, `settings` and, where speeds are limited, `settings=` of
-        PlanSettings. InputError where the supply can feed none.
+        PlanSettings. One that is made by `plan` or `plan_corrections` may be in waves. InputError where the
+        supply can feed none.
         """
         await self.refresh()
-        supply_A = self.instrument.care.supply_A
-        promising = 1.0
-        for share in SPEED_SHARES:
-            if share > promising and share != SPEED_SHARES[-1]:
-                continue
+
+        def at_share(share: float) -> Plan:
             slower = self.settings(share)
-            limits = {} if slower is None else {"settings": slower}
-            plan = await asyncio.to_thread(make, *arguments, **settings, **limits)
-            current_A, when_s = peak_current_A(self.instrument, plan) if supply_A is not None else (0.0, 0.0)
-            if supply_A is None or current_A <= supply_A:
-                return plan
-            promising = share * supply_A / current_A
-        raise InputError(
-            f"the motors of this move need {current_A:.3g} A after {when_s:.1f} s even at "
-            f"{SPEED_SHARES[-1]:g} of their speed; care.supply_A is {supply_A:g}: "
-            "move fewer positioners at once"
-        )
+            return make(*arguments, **settings, **({} if slower is None else {"settings": slower}))
+
+        def in_waves(most: int, share: float) -> Plan:
+            slower = self.settings(share)
+            return plan_in_waves(*arguments, most=most, make=make, **settings, settings=slower)
+
+        waves = in_waves if make in (plan, plan_corrections) else None
+        made = await asyncio.to_thread(plan_within_supply, self.instrument, at_share, waves)
+        counted = verify_supply(self.plane, made)
+        if not counted.ok:
+            raise InputError(f"the plan does not keep what the supply gives: {counted}; please report this")
+        return made
 
     def wait_s(self, ids: Iterable[int]) -> float:
         """How long to wait until each of these may begin a move, s."""

@@ -1,4 +1,4 @@
-"""What the limits of an instrument's `[care]` mean: temperature, speed, current, groups. Pure."""
+"""What the limits of an instrument's `[care]` mean: temperature, speed, groups. Pure."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 
 from fiberloom.bus.outcome import Results
 from fiberloom.instruments.model import Care, ColdRule, Instrument
-from fiberloom.planning import Plan, Trajectory
 from fiberloom.planning.planner import SPEED_SHARE
-from fiberloom.typing import Floats
 
 DEG_S_PER_RPM = 6.0
 """Of the motor."""
@@ -44,28 +42,6 @@ def holding_percent(rule: ColdRule | None) -> tuple[int, int]:
     """Holding current of alpha and beta, percent of the full field."""
     alpha, beta = rule.holding_percent if rule else (0.0, 0.0)
     return round(alpha), round(beta)
-
-
-def peak_current_A(instrument: Instrument, planned: Plan) -> tuple[float, float]:
-    """Largest current of all motors of a plan, A, and when, s. Ramps are not counted."""
-    moving = [robot for robot in planned.robots if robot.moves]
-    if not moving:
-        return 0.0, 0.0
-    changes = np.vstack([_changes(instrument, robot) for robot in moving])
-    when_s, which = np.unique(changes[:, 0], return_inverse=True)
-    current_A = np.cumsum(np.bincount(which.ravel(), changes[:, 1]))
-    worst = int(np.argmax(current_A))
-    return float(current_A[worst]), float(when_s[worst])
-
-
-def _changes(instrument: Instrument, robot: Trajectory) -> Floats:
-    """(k, 2) times in s and by how much the current of its two motors changes then, A."""
-    care = instrument.care
-    speed_deg_s = np.abs(np.diff(robot.points_deg, axis=0)) / np.diff(robot.time_s)[:, None]
-    share = speed_deg_s / [axis.speed_deg_s for axis in instrument.axes]
-    current_A = np.where(share > 0.0, care.motor_friction_A + share * care.motor_speed_A, 0.0).sum(axis=1)
-    steps_A = np.diff(current_A, prepend=0.0, append=0.0)
-    return np.column_stack([robot.time_s, steps_A])
 
 
 def groups_within_supply(instrument: Instrument, ids: Sequence[int]) -> list[list[int]]:

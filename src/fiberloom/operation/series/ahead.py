@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fiberloom.drive.port import Drive, Programme, Wanted
-from fiberloom.planning import Plan, Trajectory
+from fiberloom.planning import Plan, Trajectory, verify_supply
 from fiberloom.typing import Floats
 
 NEAR_DEG = 0.15
@@ -39,7 +39,12 @@ class PlannedAhead:
         self.told = self._differs(wanted)
         if self.told:
             return None
-        made = await drive.compile(self.from_start(wanted.here_deg))
+        begun = self.from_start(wanted.here_deg)
+        fed = verify_supply(wanted.obstacles, begun)
+        if not fed.ok:
+            self.told = f"more than the supply gives from the true start: {fed}"
+            return None
+        made = await drive.compile(begun)
         found = await asyncio.to_thread(drive.verify, wanted.obstacles, made)
         self.told = AHEAD if found.ok else f"not proven from the true start: {found}"
         return made if found.ok else None
