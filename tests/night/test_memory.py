@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from nights import Night
 
-from fiberloom import memory
 from fiberloom.night import runner
+from fiberloom.operation.session import memory
 
 FIELDS = 14
 QUEUE = "".join(

@@ -18,7 +18,6 @@ from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
-from fiberloom.memory import give_back
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock
@@ -53,6 +52,7 @@ from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
+from fiberloom.operation.session.memory import give_back
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray, fold
