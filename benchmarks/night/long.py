@@ -171,7 +171,7 @@ def by_visit(book: NightBook) -> list[dict[str, Any]]:
     gap_s = shutter_to_ready_s(visits, stages, book.exposures())
     rows = []
     for v in visits:
-        row = {"visit": v.id, "field": v.field, "state": v.state, "plan": v.plan_from}
+        row: dict[str, Any] = {"visit": v.id, "field": v.field, "state": v.state, "plan": v.plan_from}
         row |= {"on_target": v.on_target, "assigned": v.assigned, "rms_um": v.rms_um}
         if v.id in gap_s and v.run_id is not None:
             images = images_of(book.store, v.run_id)
@@ -235,7 +235,7 @@ def main() -> int:
     asked = parser.parse_args()
     folder, watch = Path(tempfile.mkdtemp(prefix="fiberloom-night-")), Watch()
     book, end, faults = carried(folder, asked, watch)
-    told = {"asked": {k: str(v) for k, v in vars(asked).items()}, "faults": faults}
+    told: dict[str, Any] = {"asked": {k: str(v) for k, v in vars(asked).items()}, "faults": faults}
     told |= figures(book, end) | watch.told()
     told["by_hour"] = watch.by_hour(asked.hours) if asked.hours else []
     told["report"] = write_report(book, folder).stat().st_size

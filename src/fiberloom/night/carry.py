@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from fiberloom.errors import InputError, StoppedError
-from fiberloom.night.runner import NightRunner, NightStoppedError, last_time
+from fiberloom.night.on_record import last_time
+from fiberloom.night.runner import NightRunner, NightStoppedError
 from fiberloom.night.setup import NightSetup
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside

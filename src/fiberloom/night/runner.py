@@ -21,6 +21,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock
+from fiberloom.night.on_record import last_time, state_of
 from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
@@ -36,7 +37,6 @@ from fiberloom.night.step import (
     Pause,
     Position,
     Step,
-    Visited,
     VisitState,
     Wait,
     as_asked,
@@ -49,6 +49,7 @@ from fiberloom.operation.observe import Observer, ObserveSettings
 from fiberloom.operation.recording import SurveyRecorder, digest_of
 from fiberloom.operation.reference.declare import declare_seen_right
 from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
@@ -457,7 +458,7 @@ class NightRunner:
         self.held.lock.forbidden = "the shutter is open"
         end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         await self.shutter.start(key, entry.exposure_s)
-        planning = asyncio.create_task(self._plan_ahead(visit, entry, end))
+        planning = asyncio.create_task(self._while_open(visit, entry, end))
         try:
             await self._until_closed(key, exposure, entry.exposure_s)
             self.held.lock.forbidden = ""
@@ -485,6 +486,13 @@ class NightRunner:
 
     def _note_exposure(self, exposure: int, what: str, when: datetime) -> None:
         self.book.change_exposure(exposure, **{what: when})
+
+    async def _while_open(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
+        """What is made ahead; then the memory that positioning and planning have left is given back."""
+        try:
+            return await self._plan_ahead(visit, entry, end)
+        finally:
+            await beside(give_back)
 
     async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
         """Assigns and plans what comes after this exposure, which will `end` then; nothing moves."""
@@ -577,20 +585,3 @@ def _left_s(start: datetime | None, asked_s: float, now: datetime) -> float:
     if start is None:
         return 0.5
     return max((start - now).total_seconds() + asked_s, 0.05)
-
-
-def state_of(book: NightBook, parked: bool = False) -> NightState:
-    """What was done in a night, by its `book`; `parked`: it was folded since the last visit."""
-    ended = [exposure.visit_id for exposure in book.exposures() if exposure.utc_end is not None]
-    visits = [
-        Visited(v.field, v.repeat, v.dither, VisitState(v.state), ended.count(v.id)) for v in book.visits()
-    ]
-    return NightState(tuple(visits), parked)
-
-
-def last_time(book: NightBook) -> datetime | None:
-    """The latest time on record of a night that has begun; None: it has not."""
-    ends = [stage.utc_start + timedelta(seconds=stage.duration_s) for stage in book.stages()]
-    ends += [visit.utc_start for visit in book.visits()]
-    ends += [when for exposure in book.exposures() for when in (exposure.utc_start, exposure.utc_end) if when]
-    return max(ends, default=None)

@@ -22,6 +22,7 @@ from fiberloom.field import Field
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.session.array_lock import state_of
 from fiberloom.operation.session.session import KnownArray, Session, SessionReport
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
@@ -372,6 +373,7 @@ class ServedArray:
         """Books the end of a command; none is begun in between."""
         with self._lock:
             self._book_end(running, result, text)
+        give_back()
 
     def _book_end(self, running: RunningCommand, result: CommandResult, text: str) -> None:
         """What fails here is an alarm: the array is free all the same."""

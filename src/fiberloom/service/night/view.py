@@ -7,9 +7,10 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from fiberloom.night.foresee import Foreseen, Overheads, foresee
+from fiberloom.night.on_record import state_of
 from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import Queue
-from fiberloom.night.runner import NightRunner, state_of
+from fiberloom.night.runner import NightRunner
 from fiberloom.night.stages import Lap
 from fiberloom.night.step import NightState, Visited, VisitState, field_states
 from fiberloom.store.nights.book import NightBook

@@ -1,0 +1,81 @@
+"""A night of many fields holds no more than one of a few: neither objects nor pages."""
+
+import gc
+import sys
+import threading
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nights import Night
+
+from fiberloom.night import runner
+from fiberloom.operation.safety import memory
+
+FIELDS = 14
+QUEUE = "".join(
+    f'[[field]]\nid = "f{k}"\ntargets = "{"abc"[k % 3]}.csv"\nexposure_s = 60\n' for k in range(FIELDS)
+)
+SETTLED = 4
+"""Fields until what is made once is there."""
+MOST_OBJECTS = 20
+"""That one field more may leave: rows of its visit, of its exposure and of its stages."""
+PAGE = 4096
+
+
+def resident():
+    """Bytes of this process in memory."""
+    return PAGE * int(Path("/proc/self/statm").read_text().split()[1])
+
+
+def tracked():
+    """Objects that Python keeps, by the name of their type, without those that only wait to be collected."""
+    gc.collect()
+    return Counter(type(one).__name__ for one in gc.get_objects())
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory):
+    """A night of many fields, with its objects counted while each shutter is open."""
+    night, counted, given = Night(tmp_path_factory.mktemp("memory"), QUEUE), [], []
+    with pytest.MonkeyPatch.context() as patch:
+
+        def give_back():
+            given.append(night.book.exposures()[-1])
+            counted.append(tracked())
+            memory.give_back()
+
+        patch.setattr(runner, "give_back", give_back)
+        assert night.run().status == "finished"
+    night.counted, night.given = counted, given
+    return night
+
+
+def test_what_positioning_has_left_is_given_back_while_the_shutter_is_open(night):
+    assert [exposure.number for exposure in night.given] == [1] * FIELDS
+    assert len({exposure.visit_id for exposure in night.given}) == FIELDS
+
+
+def test_objects_do_not_grow_with_the_fields(night):
+    begin, end = night.counted[SETTLED], night.counted[-1]
+    more = {name: n - begin[name] for name, n in end.items() if n > begin[name]}
+    assert sum(more.values()) < MOST_OBJECTS * (FIELDS - 1 - SETTLED), more
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="another C library has other heaps")
+def test_free_pages_of_all_heaps_are_given_back():
+    kept, size = [], 64 * 1024  # below 128 KiB the C library takes memory of a heap, not of the system
+
+    def work():
+        made = [np.full(size, 1, dtype=np.uint8) for _ in range(1000)]
+        kept.append(made[-1])  # at the top of the heap: what is below cannot be given back by itself
+
+    threads = [threading.Thread(target=work) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    before = resident()
+    memory.give_back()
+    assert before - resident() > 0.7 * 2 * 1000 * size
