@@ -12,7 +12,7 @@ import pytest
 from nights import Night
 
 from fiberloom.night import runner
-from fiberloom.operation.session import memory
+from fiberloom.operation.safety import memory
 
 FIELDS = 14
 QUEUE = "".join(

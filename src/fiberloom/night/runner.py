@@ -49,10 +49,11 @@ from fiberloom.operation.observe import Observer, ObserveSettings
 from fiberloom.operation.recording import SurveyRecorder, digest_of
 from fiberloom.operation.reference.declare import declare_seen_right
 from fiberloom.operation.results import Observation
+from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
-from fiberloom.operation.session.memory import give_back
+from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray, fold
