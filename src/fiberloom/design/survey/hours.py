@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fiberloom.assignment.candidates import find_candidates
 from fiberloom.assignment.visits.survey import SCIENCE, SurveyList, VisitSettings, plan_survey
+from fiberloom.design.survey.tiling import FieldTargets
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.targets import TargetList
@@ -41,8 +42,13 @@ class HoursSettings:
     turns: int = 3
     """Orientations of the list on the array, drawn; each is one sample of the error."""
     seed: int = 0
+    fields: int = 12
+    """Of a list that is larger than the array: at most so many of each orientation are planned, drawn; the
+    sums are scaled to all."""
 
     def __post_init__(self) -> None:
+        if self.fields < 1:
+            raise InputError(f"survey: {self.fields} fields planned: at least 1")
         if self.visits < 1 or self.turns < 2 or not 1 <= self.most <= MOST_EXPOSURES:
             raise InputError(
                 f"survey: {self.visits} visits, {self.turns} turns, {self.most} exposures: at least 1, 2, 1; "
@@ -73,6 +79,24 @@ class SurveyStep:
     used: float
     """Share of the working fibres on a target, mean of the exposures."""
     used_error: float
+
+
+@dataclass(frozen=True)
+class TiledSurvey:
+    """What a list of many fields takes: means over the orientations, with their standard errors."""
+
+    fields: float
+    """That hold a target."""
+    fields_error: float
+    planned: int
+    """Fields that were planned, in all."""
+    exposures: float | None
+    """Of all fields together, until the share is done; None: not within the most in each."""
+    exposures_error: float | None
+    reachable: float
+    """Share of the targets that a working fibre reaches in their fields; visits are counted of those."""
+    used: float
+    """Share of the working fibres on a target, mean of these exposures."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +153,96 @@ def survey_time(
     return SurveyTime(
         _steps(np.stack(shares), settings), mean if sure else None, error if sure else None, reach
     )
+
+
+def larger_than(plane: FocalPlane, targets: TargetList) -> bool:
+    """Is a list in mm larger than one field of the `plane`, however it is turned? `targets`: the list."""
+    middle_mm = plane.centres_mm.mean(axis=0)
+    reach_mm = np.hypot(*(plane.centres_mm - middle_mm).T) + plane.body_reach_mm
+    return bool(np.hypot(*(targets.xy_mm - middle_mm).T).max(initial=0.0) > reach_mm.max())
+
+
+Tiling = Callable[[float, Floats], Iterable[FieldTargets]]
+"""Fields of a list for an angle of the array and a phase (2,) of the lattice."""
+
+
+def tiled_survey(
+    plane: FocalPlane,
+    wanted: TargetList,
+    tiling: Tiling,
+    settings: HoursSettings,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> TiledSurvey:
+    """Exposures of a list of many fields: always the exposure that makes most visits, until enough are made.
+
+    Each field is the list's own part of a hexagon that the `plane` covers; each number of its exposures is
+    chosen together. A target is observed in one field alone. `wanted`: priorities and fibres of the list,
+    whose places `tiling` gives (`fiberloom.design.survey.tiling`); `settings`: as of `survey_time`, `most` of
+    each field; `progress` is told the fields done and their number.
+
+    Raises
+    ------
+    InputError
+        No fibre reaches any target.
+    """
+    rng = np.random.default_rng([settings.seed, 0x711E])
+    found = []
+    for turn in range(settings.turns):
+        fields = list(tiling(float(rng.uniform(0.0, 2.0 * np.pi)), rng.uniform(size=2)))
+        drawn = sorted(rng.permutation(len(fields))[: settings.fields])
+        curves, n_targets = [], 0
+        for done, k in enumerate(drawn):
+            progress(turn * len(drawn) + done, settings.turns * len(drawn))
+            curves.append(_curve(plane, wanted, fields[k], settings))
+            n_targets += len(fields[k].rows)
+        found.append((len(fields), len(drawn), *_merged(plane, curves, n_targets, settings)))
+    n_fields, drawn_, exposures, reachable, used = (
+        np.array(column, dtype=float) for column in zip(*found, strict=True)
+    )
+    if not reachable.max() > 0.0:
+        raise InputError(
+            f"survey: no fibre of {plane.instrument.name} reaches a target of the list; is it in mm, or the "
+            "--scale right?"
+        )
+    mean, error = _mean(exposures * n_fields / drawn_)
+    sure = math.isfinite(mean)
+    return TiledSurvey(
+        *_mean(n_fields),
+        int(drawn_.sum()),
+        mean if sure else None,
+        error if sure else None,
+        float(reachable.mean()),
+        float(used.mean()),
+    )
+
+
+def _curve(
+    plane: FocalPlane, wanted: TargetList, own: FieldTargets, settings: HoursSettings
+) -> tuple[Floats, int]:
+    """Visits made after 0, 1, ... exposures of one field, and how many are wanted of targets in reach."""
+    x_mm, y_mm = (own.xy_mm + plane.centres_mm.mean(axis=0)).T
+    targets = replace(wanted.select(own.rows), x_mm=x_mm, y_mm=y_mm)
+    reachable = round(_reachable(plane, targets) * len(targets)) * settings.visits
+    made = [0.0]
+    while made[-1] < reachable and len(made) <= settings.most:
+        share, _ = _shares(plane, targets, len(made), settings)
+        made.append(share * settings.visits * len(targets))
+    return np.array(made), reachable
+
+
+def _merged(
+    plane: FocalPlane, curves: list[tuple[Floats, int]], n_targets: int, settings: HoursSettings
+) -> tuple[float, float, float]:
+    """Exposures until the share of all is made, NaN: never; share in reach; share of the fibres used."""
+    wanted = sum(of_field for _, of_field in curves)
+    gains = np.sort(np.concatenate([np.diff(made) for made, _ in curves]))[::-1]
+    made = np.cumsum(gains)
+    enough = np.flatnonzero(made >= settings.share * wanted - 1e-9)
+    reachable = wanted / (settings.visits * n_targets)
+    if not len(enough) or not wanted:
+        return math.nan, reachable, 0.0
+    exposures = int(enough[0]) + 1
+    return float(exposures), reachable, float(made[enough[0]]) / (exposures * max(1, _working(plane)))
 
 
 def _working(plane: FocalPlane) -> int:
