@@ -48,7 +48,7 @@ def test_presets_have_the_rules_of_their_instruments():
     rules = {name: StopRule.of(load_instrument(name).operation) for name in ("sdssv", "pfs", "desi")}
     assert rules["sdssv"] == StopRule("percentile", 90.0, 5.0)
     assert rules["pfs"] == StopRule("positioner", 100.0, 2.5)
-    assert rules["desi"].kind == "fixed"
+    assert rules["desi"] == StopRule("positioner", 100.0, 5.0)
     operation = load_instrument("sdssv").operation.model_copy(update={"stop_below_um": None})
     assert StopRule.of(operation).below_um == operation.requirement_um == 5.0
     assert LoopSettings.of(operation).moves == 3

@@ -67,6 +67,9 @@ class PlainDrive:
         self.ran.append(programme)
         return all_of(programme.moving, Outcome.DONE)
 
+    def arrived(self, goal_deg):
+        return None
+
     async def settle(self, ids):
         pass
 

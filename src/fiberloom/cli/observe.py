@@ -18,6 +18,7 @@ from fiberloom.cli.options import (
     RequireOptions,
     SupplyOptions,
     TimingsOptions,
+    met,
     naming,
     require_file,
     require_folder,
@@ -144,22 +145,28 @@ class ObservationOptions(
         typer.Option(help="Store of the learnt maps; default with --adapt: beside the maps."),
     ] = None
 
+    def required_of(self, plane: FocalPlane) -> float:
+        """Share of the assigned fibres that must be on target: as `--require` says, else the instrument."""
+        return plane.instrument.operation.required_share if self.require is None else self.required_share
+
 
 def observe(options: ObservationOptions) -> int:
     """Put fibres on the targets of a list, and report the error of each one.
 
-    Exit code 1 where fewer of the assigned fibres than `--require` says are within the requirement, or a
-    verified trajectory has a collision.
+    Exit code 1 where fewer of the assigned fibres than `--require` says, or else the instrument's file
+    (operation.required_share), are within the requirement, or a verified trajectory has a collision.
     """
     started_s = time.monotonic()
     check(options)
     options.pointing()  # one that cannot be is told before anything is read
-    required = options.required_share
+    if options.require is not None:
+        _ = options.required_share  # one that is no share is told before anything is read
     targets = options.read_targets(options.targets, options.instrument)
     from fiberloom.store.place import Place
 
     require_folder(Place.of(options.out).base)
     field = field_of(options)
+    required = options.required_of(field.plane)
     field.command_line, field.begun_s = command_line(), started_s
     from fiberloom.assignment.candidates import check_targets
 
@@ -201,7 +208,7 @@ def observe(options: ObservationOptions) -> int:
         options.print_json(summary)
     else:
         print_observation(summary, required)
-    enough = options.met(summary["n_within_requirement"], summary["n_assigned"])
+    enough = met(summary["n_within_requirement"], summary["n_assigned"], required)
     return 0 if enough and not summary["collisions_verified"] else 1
 
 

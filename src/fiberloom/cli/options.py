@@ -131,17 +131,27 @@ class PointingOptions:
         return ExposurePointing(Pointing(self.zenith, self.rotator), self.turn, self.fall, self.swing)
 
 
+REQUIRED_SHARE = 0.95
+"""Where neither a command nor an instrument says more."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RequireOptions:
     """Of a command that fails where too little was achieved."""
 
     require: Annotated[
-        str, typer.Option(help="Least share that must succeed, 0.95 or 95%; below it the exit code is 1.")
-    ] = "95%"
+        str | None,
+        typer.Option(
+            help="Least share that must succeed, 0.95 or 95%; below it the exit code is 1. Default: 95%; of "
+            "observe what the instrument's file says (operation.required_share)."
+        ),
+    ] = None
 
     @property
     def required_share(self) -> float:
         """From 0 to 1; raises InputError for anything else."""
+        if self.require is None:
+            return REQUIRED_SHARE
         text = self.require.strip()
         try:
             share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
@@ -152,9 +162,13 @@ class RequireOptions:
         return share
 
     def met(self, done: int, of: int) -> bool:
-        """Are so many of so many enough? Nothing at all never is."""
-        share = self.required_share  # also of nothing: one that is no share is told
-        return done > 0 and done >= share * of
+        """Are so many of so many enough?"""
+        return met(done, of, self.required_share)  # also of nothing: one that is no share is told
+
+
+def met(done: int, of: int, share: float) -> bool:
+    """Are so many `done` `of` so many at least this `share`, 0 to 1? Nothing at all never is."""
+    return done > 0 and done >= share * of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,13 @@ class ReproduceOptions(JsonOptions):
     seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds in a row give the spread.")] = 3
     full: Annotated[bool, typer.Option("--full", help="The size of the paper's experiments.")] = False
+    fresh: Annotated[
+        bool,
+        typer.Option(
+            "--fresh",
+            help="Make rows of Table 1 anew; default: those in DIR that the same code has made are kept.",
+        ),
+    ] = False
 
 
 def reproduce(options: ReproduceOptions) -> None:
@@ -45,7 +52,7 @@ def reproduce(options: ReproduceOptions) -> None:
 
     console = Console(quiet=options.as_json)
     with waiting(options.as_json) as wait:
-        settings = Settings(options.seed, options.seeds, options.full, wait.say)
+        settings = Settings(options.seed, options.seeds, options.full, wait.say, fresh=options.fresh)
         parts = run_figures(figures, options.out, settings, lambda part: _print(console, part))
     console.print(_closing(parts, options.out))
     if options.as_json:
@@ -74,6 +81,8 @@ def _print(console: Console, part: Part) -> None:
         )
         table.add_row(*row, style=style)
     console.print(table)
+    if part.table:
+        console.print(part.table, markup=False, soft_wrap=True)
     if part.smaller:
         console.print(f"  smaller than the paper's: {part.smaller}\n")
 

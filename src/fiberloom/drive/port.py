@@ -193,6 +193,13 @@ class Drive(Protocol):
         """
         ...
 
+    def arrived(self, goal_deg: Floats) -> Flags | None:
+        """(N,) whose fibres are surely within the requirement of their goals (N, 2) in deg; such a one rests.
+
+        By all images since they moved. None: the last image alone is what tells.
+        """
+        ...
+
     async def settle(self, ids: list[int]) -> None:
         """After a move that went wrong: stops these, and makes them ready to move again."""
         ...

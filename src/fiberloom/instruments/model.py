@@ -155,11 +155,37 @@ class CameraTable(Table):
     exposure_s: Positive = 1.0
 
 
+class OwnRequirement(Table):
+    """What an instrument's makers publish of the accuracy of a field, in their own terms."""
+
+    statistic: Literal["max", "rms", "share"]
+    """What is bounded: the worst or the rms error of healthy fibres, or the share of all assigned fibres that
+    are `within_um`."""
+    within_um: Positive
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """For the statistic of that name."""
+    within_s: Positive | None = None
+    """The time in which that must be reached, from the first motion to the last image; None: any."""
+    source: str
+
+    @property
+    def words(self) -> str:
+        """In words: `95 % within 10 um, in 120 s`."""
+        what = (
+            f"{100.0 * self.share:g} % within" if self.statistic == "share" else f"{self.statistic} at most"
+        )
+        return f"{what} {self.within_um:g} um" + (f", in {self.within_s:g} s" if self.within_s else "")
+
+
 class Operation(Table):
     """What counts as done, and how to get there."""
 
     requirement_um: Positive
-    """Largest distance of a fibre from its target that the instrument accepts."""
+    """Largest distance of a fibre from its target that the instrument accepts (Kronig 2020, Table 1)."""
+    required_share: Annotated[float, Field(ge=0, le=1)] = 0.95
+    """Of the assigned fibres, faulty ones included, that must keep it; else `observe` ends with 1."""
+    own: OwnRequirement | None = None
+    """What its makers publish, in their own terms; `reproduce table1` holds a field against both."""
     corrections_max: Annotated[int, Field(ge=0)]
     """Correction moves after the blind move, at most; 0 without a camera."""
     images_max: Annotated[int, Field(ge=1, le=100)] = 1

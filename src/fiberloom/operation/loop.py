@@ -118,6 +118,7 @@ class Loop:
         """Corrections until the stop rule has enough, or so many were made; one at least to goals that have
         `moved` since the image."""
         for done in range(most):
+            self._note_arrived()
             if not (moved and done == 0) and self.settings.stop.satisfied(self._open_um()):
                 break
             await self.correct(corrections, f"correction {1 + done}")
@@ -126,6 +127,7 @@ class Loop:
         """Makes so many `corrections` more, whatever the stop rule says; after `run`."""
         how, first = self._corrections(), len(self.moves)
         for number in range(first, first + corrections):
+            self._note_arrived()
             await self.correct(how, f"correction {number}")
 
     async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
@@ -183,11 +185,18 @@ class Loop:
             sigma_deg=self._expected_deg(),
         )
 
+    def _note_arrived(self) -> None:
+        """Which positioners are not moved again: by what their drive knows, else by the stop rule."""
+        known = self.motion.drive.arrived(self.goal_deg)
+        if known is not None:
+            self._arrived = known
+        else:
+            self._arrived |= self.settings.stop.arrived(self.moves[-1].measured_error_um)
+
     def _open_um(self) -> Floats:
         """(n,) distances in the last image, of the fibres with a target that are seen and healthy and
         that the stop rule moves again."""
         error_um = self.moves[-1].measured_error_um
-        self._arrived |= self.settings.stop.arrived(error_um)
         return error_um[self.correctable & np.isfinite(error_um) & ~self._arrived & ~self._out_of_reach]
 
     @property
@@ -199,6 +208,7 @@ class Loop:
         return np.asarray((short_mm != 0.0).any(axis=1))
 
     def _why_stopped(self) -> str:
+        self._note_arrived()
         stop, open_um = self.settings.stop, self._open_um()
         why = stop.explain(open_um)
         if stop.satisfied(open_um):

@@ -30,6 +30,7 @@ from fiberloom.drive.desi.paths import executed_path
 from fiberloom.drive.desi.resolve import Resolver, counted_deg, proven
 from fiberloom.drive.desi.safe import safe_phi_deg
 from fiberloom.drive.desi.stages import Aims, Staged, staged
+from fiberloom.drive.desi.standing import StandingPlaces
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.drive.port import (
     BelievedPlaces,
@@ -58,7 +59,7 @@ SETTLE_S = 0.05
 ALIVE_S = 20.0
 """A unit that has heard nothing for 60 s is in standby, and runs nothing until it is reset."""
 AIR_UM = 6.0
-"""[A] Of an image, both axes together, where the camera does not tell its covariance."""
+"""[A] Of one image, both axes together, where nothing tells how far it is off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +92,7 @@ class DesiDrive:
         self.plane, self.transport = plane, transport
         self.maps = maps or LearnedMaps(plane, plane.park_deg)
         self.model = DriveModel.of(plane, seen_is_believed=True, reports=False)
+        self.standing = StandingPlaces(self.maps)
         self.ids: list[int] = []
         self.kept: Path | None = None
         """File to which what was learnt is written after each image; None: it is not kept."""
@@ -208,6 +210,11 @@ class DesiDrive:
         about = {"rounds": found.rounds, "waits": found.waits}
         return Programme(found.plan, tube_mm, commands, about).timed(begun_s)
 
+    def arrived(self, goal_deg: Floats) -> Flags:
+        """(N,) surely within the requirement of goals (N, 2) in deg; another move draws another scatter."""
+        requirement_um = self.plane.instrument.operation.requirement_um
+        return self.standing.arrived(self.plane.forward(*goal_deg.T), requirement_um)
+
     def _tube_mm(self, angles_deg: Floats) -> Floats:
         """(N,) mm, by how well the map is known at angles (N, 2) in deg."""
         return 1e-3 * TUBE_SIGMA * self.maps.sigma_um(angles_deg)
@@ -236,8 +243,13 @@ class DesiDrive:
         commands: Tables = programme.commands
         results = await self._run(commands.tables, programme.moving)
         if self._ran:
-            self.maps.went(commands.way_deg)
+            self._went(commands.way_deg)
         return results
+
+    def _went(self, way_deg: Floats) -> None:
+        """A way (N, 2) in deg was made."""
+        self.maps.went(way_deg)
+        self.standing.went((way_deg != 0.0).any(axis=1))
 
     async def _run(self, tables: MoveTables, moving: list[int]) -> Results:
         """Loads, starts and waits for the end; `_ran` says whether anything was started."""
@@ -287,6 +299,7 @@ class DesiDrive:
         results = await self._run(tables, numbers)
         done = rows[[results[k].ok for k in numbers]]
         self.maps.homed(done, homed_deg(self.plane, done), HOMED_SIGMA_DEG)
+        self.standing.fresh[rows] = True
         return results
 
     async def settle(self, ids: list[int]) -> None:
@@ -300,7 +313,7 @@ class DesiDrive:
         if self._running is not None:
             begin_s, tables = self._running
             gone = executed_path(tables).at(np.array([(self.time_s - begin_s) * TICK_HZ]))[:, 0]
-            self.maps.went(degrees_of(gone))
+            self._went(degrees_of(gone))
             self._running = None
         return sorted(await self._told(DesiCommand.VERSION, self.ids))
 
@@ -309,7 +322,11 @@ class DesiDrive:
 
     def seen(self, image: Measurement, mobile: Flags) -> Floats:
         """Learns from an image; (N, 2) deg where arms are believed to be now. `mobile` (N,): who may tell."""
-        self.maps.see(image.xy_mm, self._sigma_mm(image), image.seen & mobile)
+        told, sigma_mm = image.seen & mobile, self._sigma_mm(image)
+        moved = self.standing.fresh.copy()
+        self.standing.see(image.xy_mm, sigma_mm, told)
+        # one that rests shows the scatter of the same move again, which is nothing new of its map
+        self.maps.see(image.xy_mm, sigma_mm, told & moved)
         self.maps.stands(image.xy_mm, image.seen & self._back)
         self._back &= ~image.seen
         if self.kept is not None:
@@ -326,9 +343,11 @@ class DesiDrive:
         }
 
     def _sigma_mm(self, image: Measurement) -> Floats | float:
-        if image.covariance_mm2 is None:
+        """(N,) mm per coordinate: as the camera tells it, else as several images of a place scatter."""
+        told = image.noise_mm2 if image.covariance_mm2 is None else image.covariance_mm2
+        if told is None:
             return float(1e-3 * np.hypot(self._image_um, AIR_UM) / np.sqrt(2.0))
-        mean = 0.5 * np.einsum("ncc->n", np.nan_to_num(image.covariance_mm2, nan=1.0))
+        mean = 0.5 * np.einsum("ncc->n", np.nan_to_num(told, nan=1.0))
         return np.asarray(np.sqrt(np.maximum(mean, 1e-8)))
 
     async def close(self) -> None:

@@ -354,6 +354,10 @@ class CobraDrive:
         ids = iteration.orders.cobra_id.tolist()
         return Results({i: Result(i, OUTCOMES[how]) for i, how in zip(ids, result.ended, strict=True)})
 
+    def arrived(self, goal_deg: Floats) -> Flags | None:
+        """None: the last image alone is what tells. `goal_deg` (N, 2): not used."""
+        return None
+
     async def settle(self, ids: list[int]) -> None:
         """Nothing is to be done: cobras stand."""
 

@@ -25,7 +25,7 @@ from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan, Trajectory, Verification, plan, plan_corrections
-from fiberloom.typing import Flags, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 
 class SdssvDrive:
@@ -103,6 +103,10 @@ class SdssvDrive:
         await self.care.begin(list(trajectories), say)
         await when_linked(self.client, trajectories)
         return await self.client.run_trajectories(trajectories, watch=watch)
+
+    def arrived(self, goal_deg: Floats) -> Flags | None:
+        """None: the last image alone is what tells. `goal_deg` (N, 2): not used."""
+        return None
 
     async def settle(self, ids: list[int]) -> None:
         """Stops all and clears the flags of collisions, so that healthy positioners can move again."""

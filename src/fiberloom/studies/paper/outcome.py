@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import matplotlib
 
@@ -30,6 +31,10 @@ class Settings:
     """The paper's own size."""
     say: Callable[[str], None] = _silent
     """Told what is being done."""
+    folder: Path | None = None
+    """Where a figure may keep parts of itself, so that a later run goes on there; None: nowhere."""
+    fresh: bool = False
+    """Make anew what is kept there."""
 
     @property
     def seeds(self) -> range:
@@ -58,6 +63,8 @@ class FigureOutcome:
     """Where the experiment was made smaller than the paper's; empty where it was not."""
     beyond: list[str] = field(default_factory=list)
     """What goes beyond the paper."""
+    table: str = ""
+    """All of it in one table (Markdown), where that says more than the list of quantities."""
 
 
 def drawing(name: str, caption: str, canvas: Canvas) -> Drawing:

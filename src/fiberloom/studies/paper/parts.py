@@ -27,6 +27,8 @@ class Part(BaseModel):
     how: str
     smaller: str
     beyond: list[str]
+    table: str = ""
+    """Of all of it (Markdown); empty for most."""
     seconds: float
     cpu_s: float
     """Of this process: what the figure costs on a machine that does nothing else."""
@@ -61,6 +63,7 @@ def keep(
         how=outcome.how,
         smaller=outcome.smaller,
         beyond=outcome.beyond,
+        table=outcome.table,
         seconds=round(seconds, 1),
         cpu_s=round(cpu_s, 1),
         seeds=list(settings.seeds),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fiberloom.report.outputs import prepare_folder
@@ -29,6 +30,7 @@ def reproduce(
     figures' parts.
     """
     prepare_folder(out)
+    settings = replace(settings, folder=out / "parts")
     parts = []
     for figure in figures:
         settings.say(f"{figure.heading}: {figure.title}")

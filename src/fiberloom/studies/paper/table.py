@@ -30,4 +30,5 @@ def table_markdown(parts: Sequence[Part]) -> str:
                 q.note,
             )
             rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(rows)
+    whole = [f"\n{part.heading}: {part.title}\n\n{part.table}" for part in parts if part.table]
+    return "\n".join([*rows, *whole])

@@ -99,10 +99,21 @@ class LearnedMaps:
 
     def sigma_um(self, believed_deg: Floats) -> Floats:
         """(N,) um, 2-D rms: how far from its place a fibre is expected after a move to (N, 2) deg."""
+        return np.asarray(1e3 * np.sqrt(np.einsum("ncc->n", self._spread_mm2(believed_deg))))
+
+    def expected_mm(self) -> Floats:
+        """(N, 2) mm of fibres at the believed angles."""
+        return self.places_mm(self.output_deg(self.believed_deg))
+
+    def spread_mm2(self) -> Floats:
+        """(N, 2, 2) how well that is known: the map, and the scatter of a move."""
+        return self._spread_mm2(self.believed_deg)
+
+    def _spread_mm2(self, believed_deg: Floats) -> Floats:
         rows, jacobian = self._rows(believed_deg)
-        spread = np.einsum("nck,nkl,ncl->n", rows, self.covariance, rows)
-        fresh = self.basis.scatter_deg**2 * np.einsum("nca,nca->n", jacobian, jacobian)
-        return np.asarray(1e3 * np.sqrt(spread + fresh))
+        fresh = self.basis.scatter_deg**2 * jacobian @ jacobian.transpose(0, 2, 1)
+        known: Floats = np.einsum("nck,nkl,ndl->ncd", rows, self.covariance, rows, optimize=True)
+        return known + fresh
 
     def way_deg(self, goal_deg: Floats) -> Floats:
         """(N, 2) deg to command so that fibres come where ideal arms at `goal_deg` (N, 2) have them."""
@@ -121,7 +132,7 @@ class LearnedMaps:
         """Learns from an image: fibres at `xy_mm` (N, 2), those `seen` (N,), `sigma_mm` per coordinate."""
         told = seen & np.isfinite(xy_mm).all(axis=1)
         rows, jacobian = self._rows(self.believed_deg)
-        off = np.where(told[:, None], xy_mm - self.places_mm(self.output_deg(self.believed_deg)), 0.0)
+        off = np.where(told[:, None], xy_mm - self.expected_mm(), 0.0)
         noise = self.basis.scatter_deg**2 * jacobian @ jacobian.transpose(0, 2, 1)
         noise += np.broadcast_to(np.asarray(sigma_mm) ** 2, (len(off),))[:, None, None] * np.eye(2)
         cross = np.einsum("nkl,ncl->nkc", self.covariance, rows)
@@ -156,7 +167,7 @@ class LearnedMaps:
         """The air of an image, by all its fibres and what is `standing`: `xy_mm` (N, 2), those `seen` (N,),
         `sigma_mm` of the camera per coordinate, without air.
         """
-        expected = self.places_mm(self.output_deg(self.believed_deg))
+        expected = self.expected_mm()
         own = 1e-3 * self.sigma_um(self.believed_deg) / np.sqrt(2.0)
         return air_of(expected, xy_mm - expected, np.hypot(own, sigma_mm), seen, standing)
 

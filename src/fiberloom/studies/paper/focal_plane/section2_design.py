@@ -12,7 +12,7 @@ from fiberloom.design.spring import spring_window
 from fiberloom.instruments import AXES
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.studies.paper.bench import L_BETA_MM, paper_instrument
-from fiberloom.studies.paper.focal_plane.table01_instruments import TABLE_1, Row
+from fiberloom.studies.paper.focal_plane.table01_rows import TABLE_1, Row
 from fiberloom.studies.paper.outcome import Drawing, FigureOutcome, Settings, drawing
 from fiberloom.studies.paper.quantity import Kind, Quantity, ordering, quantity
 from fiberloom.units import GEAR, UM_PER_MM
