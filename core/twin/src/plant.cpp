@@ -131,6 +131,16 @@ void Plant::fetch(size_t axis) const {
     for (size_t at = 0; at < offsetof(Axis, unit); at += line) __builtin_prefetch(begin + at, 1);
 }
 
+// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
+void Plant::fetch_gear(size_t axis) const {
+    constexpr size_t line = 64;
+    const Axis &a = axes_[axis];
+    const int32_t at = a.cell.index & (block_nodes - 1);
+    if (at != 0 && at != block_nodes - 3) return;
+    const auto *begin = reinterpret_cast<const char *>(&a.unit.transmission);
+    for (size_t i = 0; i < offsetof(Transmission, wear); i += line) __builtin_prefetch(begin + i);
+}
+
 double Plant::geared_rad(size_t axis) const {
     return output_of_gear(axes_[axis].cell, lane(axis, &AxisGroup::gear_rad));
 }
@@ -352,6 +362,7 @@ void Plant::follow_cell(size_t axis) {
     const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
     seek_cell(axis, gear_rad);
     follow_seat(axis, cell.index - before);
+    fetch_gear(axis);
     if (positive)
         set(axis, &AxisGroup::gear_rad,
             (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale));

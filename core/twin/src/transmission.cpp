@@ -4,6 +4,13 @@
 #include <cmath>
 #include <numbers>
 
+// Sums may be computed by wider vectors where a machine has them, with the same bits.
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
+#define FL_CLONES __attribute__((target_clones("avx2", "default")))
+#else
+#define FL_CLONES
+#endif
+
 namespace fl::twin {
 namespace {
 
@@ -23,41 +30,46 @@ struct Circle {
 };
 const Circle circle;
 
-// Every order at the nodes of a block, counted from its first.
-struct Within {
-    double cos[harmonic_count][block_nodes], sin[harmonic_count][block_nodes];
-    Within() {
-        for (size_t i = 0; i < harmonic_count; ++i)
-            for (int32_t k = 0; k < block_nodes; ++k) {
-                const Harmonic &wave = circle.at(harmonic_orders[i] * k);
-                cos[i][k] = wave.cos;
-                sin[i][k] = wave.sin;
-            }
-    }
-};
-const Within within;
-
 // Amplitudes as seen from where the wave is `at`.
 Harmonic seen_from(const Harmonic &at, const Harmonic &wave) {
     return {wave.cos * at.cos + wave.sin * at.sin, wave.sin * at.cos - wave.cos * at.sin};
 }
 
+// Four nodes at once; named, not in loops over memory, so that sums stay in registers.
+typedef double Quad __attribute__((vector_size(32)));
+constexpr size_t block_quads = block_nodes / 4;
+
 // Sums of both series at the nodes of a block: delta in output rad, backlash in motor rad without its mean.
 struct Sums {
-    double delta_rad[block_nodes] = {}, backlash_rad[block_nodes] = {};
+    Quad delta_rad[block_quads] = {}, backlash_rad[block_quads] = {};
 };
 
-Sums series(const Transmission &t, int32_t first) {
+// Every order at the nodes of a block, counted from its first.
+struct Within {
+    Quad cos[harmonic_count][block_quads], sin[harmonic_count][block_quads];
+    Within() {
+        for (size_t i = 0; i < harmonic_count; ++i)
+            for (int32_t k = 0; k < block_nodes; ++k) {
+                const Harmonic &wave = circle.at(harmonic_orders[i] * k);
+                cos[i][k / 4][k % 4] = wave.cos;
+                sin[i][k / 4][k % 4] = wave.sin;
+            }
+    }
+};
+const Within within;
+
+FL_CLONES void series(const Transmission &t, int32_t first, Sums &out) {
     Sums sums;
     for (size_t i = 0; i < harmonic_count; ++i) {
         const Harmonic &at = circle.at(harmonic_orders[i] * first);
         const Harmonic delta = seen_from(at, t.delta_rad[i]), backlash = seen_from(at, t.backlash_rad[i]);
-        for (size_t k = 0; k < block_nodes; ++k) {
+#pragma GCC unroll 2
+        for (size_t k = 0; k < block_quads; ++k) {
             sums.delta_rad[k] += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
             sums.backlash_rad[k] += backlash.cos * within.cos[i][k] + backlash.sin * within.sin[i][k];
         }
     }
-    return sums;
+    out = sums;
 }
 
 double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {
@@ -98,13 +110,14 @@ bool plainly_sound(const Transmission &t, double gear_ratio) {
 
 void NodeBlock::load(const Transmission &t, double gear_ratio, int32_t block) {
     const int32_t first = block * block_nodes;
-    const Sums sums = series(t, first);
+    Sums sums;
+    series(t, first, sums);
     const bool worn = is_worn(t);
     for (int32_t k = 0; k < block_nodes; ++k) {
-        const auto i = static_cast<size_t>(k);
         const double theta = node_step_rad * (first + k);
-        const double delta = sums.delta_rad[i] + (worn ? wear_at(t.wear, theta) : 0.0);
-        nodes[i] = {gear_ratio * (theta + delta), t.backlash_mean_rad + sums.backlash_rad[i]};
+        const double delta = sums.delta_rad[k / 4][k % 4] + (worn ? wear_at(t.wear, theta) : 0.0);
+        nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
+                                         t.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
     }
     number = block;
 }

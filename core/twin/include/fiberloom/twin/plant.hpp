@@ -175,6 +175,7 @@ class Plant {
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
     void fetch(size_t axis) const;
+    void fetch_gear(size_t axis) const;
     void seek_cell(size_t axis, double gear_rad);
     void follow_cell(size_t axis);
     double next_seat(size_t axis, double from_rad);
