@@ -28,9 +28,9 @@ struct TestPlant {
 };
 
 TestPlant new_plant(Doubles plant, Doubles transmission, Input1<double> output_rad, uint64_t seed,
-                    const std::string &kernel, int substeps) {
+                    const std::string &kernel, const SubstepsArgument &substeps) {
     const std::vector<double> start(output_rad.data(), output_rad.data() + output_rad.size());
-    return {Plant(units_of(plant, transmission), start, seed, kernel.c_str(), substeps)};
+    return {Plant(units_of(plant, transmission), start, seed, kernel.c_str(), substeps_of(substeps))};
 }
 
 size_t known(const TestPlant &p, size_t axis) {
@@ -122,7 +122,9 @@ void bind_test_plant(nb::module_ &m) {
         .def(nb::new_(&new_plant), nb::arg("plant"), nb::arg("transmission"), nb::arg("output_rad"),
              nb::arg("seed") = 0, nb::arg("kernel") = "", nb::arg("substeps") = 10,
              "plant (n, len(PLANT_PARAMS)), transmission (n, TRANSMISSION_SIZE), output_rad (n,); substeps a "
-             "tick. ValueError names what is wrong with which axis.")
+             "tick, or a pair: of any axis, and of one that pushes its gear all the time. ValueError names "
+             "what is "
+             "wrong with which axis.")
         .def("run", &plant_run, nb::arg("duty"),
              "One tick for each row of duties (ticks, n, 3). Returns (ticks, n, 4): motor rad, momentum N m "
              "s, "

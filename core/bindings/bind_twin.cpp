@@ -212,7 +212,12 @@ void bind_setup(nb::module_ &m) {
         .def_rw("neighbours", &TwinSetup::neighbours, "arms that touch push each other")
         .def_rw("skip_resting", &TwinSetup::skip_resting, "leave out what would change nothing")
         .def_rw("side_by_side", &TwinSetup::side_by_side, "laws of several axes at once; the same bits")
-        .def_rw("substeps", &TwinSetup::substeps, "of the plant in a tick")
+        .def_prop_rw(
+            "substeps", [](const TwinSetup &s) { return std::pair(s.substeps.all, s.substeps.pushing); },
+            [](TwinSetup &s, const SubstepsArgument &substeps) { s.substeps = substeps_of(substeps); },
+            "of the plant in a tick: of any axis, and of one that pushes its gear all the time; one number "
+            "for "
+            "both")
         .def_rw("kernel", &TwinSetup::kernel, "one of KERNELS, or empty for the best");
 }
 

@@ -1,7 +1,10 @@
 // Rows of numbers to the structures of the twin.
 #pragma once
 
+#include <nanobind/stl/variant.h>
+
 #include <cstring>
+#include <variant>
 
 #include "bind.hpp"
 #include "fiberloom/twin/plant.hpp"
@@ -12,6 +15,15 @@ using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
 inline constexpr size_t param_doubles = sizeof(PlantParams) / sizeof(double);
 inline constexpr size_t transmission_doubles = sizeof(Transmission) / sizeof(double);
+
+// A number for all axes, or that and another for those that push their gears.
+using SubstepsArgument = std::variant<int, std::pair<int, int>>;
+
+inline Substeps substeps_of(const SubstepsArgument &argument) {
+    if (const int *all = std::get_if<int>(&argument)) return {*all, *all};
+    const auto [all, pushing] = std::get<std::pair<int, int>>(argument);
+    return {all, pushing};
+}
 
 inline size_t rows_of(size_t size, size_t width, const char *what) {
     if (size % width != 0)

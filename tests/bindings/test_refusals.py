@@ -132,6 +132,8 @@ def test_numbers_of_rows_that_differ(call, message):
         (lambda: twin.Twin(setup(ids=(7, 7), n_axes=4)), "positioner id 7 occurs twice"),
         (lambda: twin.Twin(setup(substeps=0)), "substeps: 1 to 100000"),
         (lambda: twin.Twin(setup(substeps=100001)), "substeps: 1 to 100000"),
+        (lambda: twin.Twin(setup(substeps=(10, 0))), "pushes its gear: 1 to those of any"),
+        (lambda: twin.Twin(setup(substeps=(10, 11))), "pushes its gear: 1 to those of any"),
         (lambda: twin.Twin(setup(kernel="abacus")), "kernel 'abacus': this machine has baseline"),
         (lambda: twin.Twin(setup()).fault(0, 2, "dead", True), r"axis: 0 \(alpha\) or 1 \(beta\)"),
         (lambda: twin.Twin(setup()).fault(0, -1, "dead", True), r"axis: 0 \(alpha\) or 1 \(beta\)"),

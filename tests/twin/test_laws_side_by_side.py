@@ -11,6 +11,7 @@ from fiberloom._core import twin as core
 from fiberloom.bus.identifier import encode
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, Twin, draw_units
+from fiberloom.twin.twin import ADAPTIVE
 
 PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=40)  # a lane group and a quarter
 UNITS = draw_units(PLANE, seed=11)
@@ -27,10 +28,10 @@ def by_laws(laws):
     return units
 
 
-def everything(side_by_side, kernel="", units=UNITS):
+def everything(side_by_side, kernel="", units=UNITS, **steps):
     """Moves of all kinds, collisions, faults, a homing, a stop, a silent host, a trace, open loop."""
     rng = np.random.default_rng(7)
-    twin = Twin(PLANE, units, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel)
+    twin = Twin(PLANE, units, seed=2, threads=1, side_by_side=side_by_side, kernel=kernel, **steps)
     scopes = [twin.scope(row, axis) for row in (0, 5, 17) for axis in (0, 1)]
     replies = []
     for row in (16, 17):
@@ -69,6 +70,14 @@ def test_so_is_law_1_alone_and_among_others(kernel, laws):
     together, _ = everything(True, kernel, units)
     assert COLLISION in {c[1] for c in seen}
     assert alone == together
+    assert alone != everything(False)[0]
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+def test_so_it_is_in_longer_steps_of_the_plant(kernel):
+    """What an axis does is its own there, too."""
+    alone, _ = everything(False, substeps=ADAPTIVE)
+    assert alone == everything(True, kernel, substeps=ADAPTIVE)[0]
     assert alone != everything(False)[0]
 
 

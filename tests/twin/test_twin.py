@@ -13,6 +13,7 @@ from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, NoiseCamera, Twin, TwinTransport, draw_units
 from fiberloom.twin.faults.clock import FaultClock
 from fiberloom.twin.faults.schedule import ScheduledFault
+from fiberloom.twin.twin import ADAPTIVE
 
 PLANE = generate(load_instrument("sdssv"), seed=5, n_positioners=20)
 UNITS = draw_units(PLANE, seed=11)
@@ -61,10 +62,11 @@ def test_replies_come_by_time_then_by_positioner():
     assert twin.run(0.5) == []
 
 
-def test_same_bytes_for_any_number_of_threads():
+@pytest.mark.parametrize("steps", [{}, {"substeps": ADAPTIVE}])
+def test_same_bytes_for_any_number_of_threads(steps):
     runs = set()
     for threads in (1, 2, 5):
-        twin = make(threads=threads, neighbours=True, start_deg=None)
+        twin = make(threads=threads, neighbours=True, start_deg=None, **steps)
         runs.add(bytes_of(twin, move_all(twin)))
     assert len(runs) == 1
 

@@ -33,8 +33,10 @@ uint32_t quiet_ticks(const fl_positioner_t &p) {
 
 // A bit for each flag that is set.
 uint32_t lanes_of(const int32_t (&flags)[lane_group_size]) {
+    int32_t any = 0;
+    for (const int32_t flag : flags) any |= flag;
     uint32_t lanes = 0;
-    for (int i = 0; i < lane_group_size; ++i) lanes |= static_cast<uint32_t>(flags[i] != 0) << i;
+    for (int i = 0; any != 0 && i < lane_group_size; ++i) lanes |= static_cast<uint32_t>(flags[i] != 0) << i;
     return lanes;
 }
 
@@ -96,6 +98,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
         load_state(b, lane, axes[axis].drive);
         load_way(b, lane, axes[axis], tick);
         cruise_axis_[axis] |= bit;
+        laws_[axis] |= 1U << b.law[lane];
         if (axes[axis].detect) heeds_[axis] |= bit;
         if (settles(axes[axis])) settles_[axis] |= bit;
     }
@@ -124,6 +127,8 @@ void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
         cruise_axis_[axis] &= ~bit;
         heeds_[axis] &= ~bit;
         settles_[axis] &= ~bit;
+        laws_[axis] = 0;
+        each(cruise_axis_[axis], [&](size_t k) { laws_[axis] |= 1U << b.law[k]; });
     }
     cruise_ &= ~bit;
     const bool within = done[FL_ALPHA] || done[FL_BETA];
@@ -189,8 +194,7 @@ void LaneGroup::tick_axis(int axis, uint64_t tick) {
     if (count == 0 && cruise == 0) return;
     plant_->kernel().hall_law(batch);
     if (cruise != 0) plant_->kernel().advance_law(batch, tick);
-    unsigned laws = 0;
-    each(cruise, [&](size_t i) { laws |= 1U << batch.law[i]; });
+    unsigned laws = laws_[static_cast<size_t>(axis)];
     for (size_t k = 0; k < count; ++k) {
         advance(axis, trackers_[k], batch);
         laws |= 1U << batch.law[trackers_[k].lane];

@@ -58,6 +58,7 @@ class LaneGroup {
     uint32_t cruise_ = 0;
     std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{}, settles_{};
     std::array<uint64_t, lane_group_size> since_{}, until_{};
+    std::array<uint32_t, FL_AXES> laws_{}; // of those in the lanes: a bit of 1 << law for each
     uint64_t next_leave_ = UINT64_MAX;
     // axes whose configuration lies in the batch, by lane: until a release
     std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -48,6 +49,13 @@ void check(size_t axis, const Unit &unit) {
         refuse(axis, fault);
 }
 
+void check_substeps(Substeps substeps) {
+    if (substeps.all < 1 || substeps.all > 100000)
+        throw std::invalid_argument("substeps: 1 to 100000 a tick");
+    if (substeps.pushing < 1 || substeps.pushing > substeps.all)
+        throw std::invalid_argument("substeps of an axis that pushes its gear: 1 to those of any");
+}
+
 // splitmix64: keys of neighbouring axes have nothing in common.
 uint32_t noise_key(uint64_t seed, uint64_t axis) {
     uint64_t z = seed + (axis + 1) * 0x9E3779B97F4A7C15ULL;
@@ -87,10 +95,10 @@ AxisGroup idle_group() {
 } // namespace
 
 Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
-             const char *kernel, int substeps)
-    : kernel_(kernel_by_name(kernel)), substeps_(substeps), h_s_(tick_s / substeps) {
+             const char *kernel, Substeps substeps)
+    : kernel_(kernel_by_name(kernel)), substeps_(substeps), h_s_(tick_s / substeps.all) {
     if (units.size() != output_rad.size()) throw std::invalid_argument("one output angle for every axis");
-    if (substeps < 1 || substeps > 100000) throw std::invalid_argument("substeps: 1 to 100000 a tick");
+    check_substeps(substeps);
     axes_.resize(units.size());
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
@@ -116,11 +124,21 @@ void Plant::step(size_t group) {
         slip(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
 }
 
-// It may lie far from the processor: all of it is asked for at once.
+// It may lie far from the processor: what a new cell asks for, at once.
 void Plant::fetch(size_t axis) const {
     constexpr size_t line = 64;
     const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
-    for (size_t at = 0; at < sizeof(Axis); at += line) __builtin_prefetch(begin + at, 1);
+    for (size_t at = 0; at < offsetof(Axis, unit); at += line) __builtin_prefetch(begin + at, 1);
+}
+
+// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
+void Plant::fetch_gear(size_t axis) const {
+    constexpr size_t line = 64;
+    const Axis &a = axes_[axis];
+    const int32_t at = a.cell.index & (block_nodes - 1);
+    if (at != 0 && at != block_nodes - 3) return;
+    const auto *begin = reinterpret_cast<const char *>(&a.unit.transmission);
+    for (size_t i = 0; i < offsetof(Transmission, wear); i += line) __builtin_prefetch(begin + i);
 }
 
 double Plant::geared_rad(size_t axis) const {
@@ -147,9 +165,7 @@ void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double
     set(axis, &AxisGroup::p_Nms, momentum_Nms);
     set(axis, &AxisGroup::still, 0);
     set(axis, &AxisGroup::gear_rad, gear_rad);
-    axes_[axis].cell =
-        cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, axes_[axis].cell);
-    load_cell(axis);
+    seek_cell(axis, gear_rad);
 }
 
 double Plant::output_at_rest_rad(size_t axis) const {
@@ -203,6 +219,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
     axes_[axis].unit.params = params;
+    axes_[axis].block = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
@@ -213,9 +230,9 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].unit.transmission = transmission;
     set(axis, &AxisGroup::still, 0);
-    const Cell start = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
-    axes_[axis].cell = cell_of_gear(transmission, params(axis).gear_ratio, gear_rad, start);
-    load_cell(axis);
+    axes_[axis].block = {};
+    axes_[axis].cell = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
+    seek_cell(axis, gear_rad);
     configure_stops(axis);
     if (positive) set(axis, &AxisGroup::theta_rad, gear_rad + backlash_rad(axis));
 }
@@ -273,6 +290,7 @@ void Plant::configure_cogging(size_t axis) {
 
 void Plant::configure_gear(size_t axis) {
     const PlantParams &p = params(axis);
+    axes_[axis].seat.rms_rad = p.seat_rms;
     // in a closed bridge the coils are shorted at any duty; three sines around a delta add up to no current
     const double back_emf =
         axes_[axis].bridge.floats ? 0.0 : 1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance;
@@ -289,6 +307,10 @@ void Plant::configure_gear(size_t axis) {
     set(axis, &AxisGroup::drag_push_inverse, 1.0 / (1.0 + push));
     set(axis, &AxisGroup::step_per_p_free, h_s_ / p.inertia_motor);
     set(axis, &AxisGroup::step_per_p_push, h_s_ / inertia);
+    const double longer = static_cast<double>(substeps_.all) / substeps_.pushing;
+    set(axis, &AxisGroup::drag_coarse, longer * push);
+    set(axis, &AxisGroup::drag_coarse_inverse, 1.0 / (1.0 + longer * push));
+    set(axis, &AxisGroup::step_per_p_coarse, longer * longer * h_s_ / inertia);
 }
 
 // A stop acts on the arm; seen from the gear it lies at T- of its angle, behind the gear's compliance.
@@ -322,17 +344,25 @@ void Plant::load_cell(size_t axis) {
     set(axis, &AxisGroup::cell_hi_rad, cell.hi.gear_rad);
 }
 
+// From where it was.
+void Plant::seek_cell(size_t axis, double gear_rad) {
+    Axis &a = axes_[axis];
+    a.cell = cell_of_gear(a.unit.transmission, a.unit.params.gear_ratio, gear_rad, a.cell, a.block);
+    load_cell(axis);
+}
+
 // The gear left its cell inside a tick. In positive contact the old cell's B placed it: the new one's
 // does now, so that where the gear is never depends on how it came there.
 void Plant::follow_cell(size_t axis) {
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
-    const Cell old = axes_[axis].cell;
-    const double backlash_rad = old.backlash_0_rad + old.backlash_1 * gear_rad;
+    const Cell &cell = axes_[axis].cell;
+    const int32_t before = cell.index;
+    const double backlash_rad = cell.backlash_0_rad + cell.backlash_1 * gear_rad;
     const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
-    axes_[axis].cell = cell_of_gear(axes_[axis].unit.transmission, params(axis).gear_ratio, gear_rad, old);
-    load_cell(axis);
-    follow_seat(axis, axes_[axis].cell.index - old.index);
+    seek_cell(axis, gear_rad);
+    follow_seat(axis, cell.index - before);
+    fetch_gear(axis);
     if (positive)
         set(axis, &AxisGroup::gear_rad,
             (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale));
@@ -340,13 +370,13 @@ void Plant::follow_cell(size_t axis) {
 
 double Plant::next_seat(size_t axis, double from_rad) {
     Seat &seat = axes_[axis].seat;
-    return seat_memory * from_rad + seat_news * params(axis).seat_rms * bell(seat.key, seat.passes++);
+    return seat_memory * from_rad + seat_news * seat.rms_rad * bell(seat.key, seat.passes++);
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten.
 void Plant::follow_seat(size_t axis, int32_t nodes) {
-    if (params(axis).seat_rms == 0.0) return;
     Seat &seat = axes_[axis].seat;
+    if (seat.rms_rad == 0.0) return;
     for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next_seat(axis, seat.hi_rad));
     for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next_seat(axis, seat.lo_rad));
 }

@@ -4,6 +4,13 @@
 #include <cmath>
 #include <numbers>
 
+// Sums may be computed by wider vectors where a machine has them, with the same bits.
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
+#define FL_CLONES __attribute__((target_clones("avx2", "default")))
+#else
+#define FL_CLONES
+#endif
+
 namespace fl::twin {
 namespace {
 
@@ -23,22 +30,46 @@ struct Circle {
 };
 const Circle circle;
 
-// Sums of both series at a node: delta in output rad, backlash in motor rad without its mean.
+// Amplitudes as seen from where the wave is `at`.
+Harmonic seen_from(const Harmonic &at, const Harmonic &wave) {
+    return {wave.cos * at.cos + wave.sin * at.sin, wave.sin * at.cos - wave.cos * at.sin};
+}
+
+// Four nodes at once; named, not in loops over memory, so that sums stay in registers.
+typedef double Quad __attribute__((vector_size(32)));
+constexpr size_t block_quads = block_nodes / 4;
+
+// Sums of both series at the nodes of a block: delta in output rad, backlash in motor rad without its mean.
 struct Sums {
-    double delta_rad = 0.0, backlash_rad = 0.0;
+    Quad delta_rad[block_quads] = {}, backlash_rad[block_quads] = {};
 };
 
-// Both sums at once, in one vector.
-Sums series(const Transmission &t, int32_t index) {
-    typedef double Both __attribute__((vector_size(16)));
-    Both sums = {};
-    for (size_t i = 0; i < harmonic_count; ++i) {
-        const Harmonic &wave = circle.at(harmonic_orders[i] * index);
-        const Both cosines = {t.delta_rad[i].cos, t.backlash_rad[i].cos};
-        const Both sines = {t.delta_rad[i].sin, t.backlash_rad[i].sin};
-        sums += cosines * wave.cos + sines * wave.sin;
+// Every order at the nodes of a block, counted from its first.
+struct Within {
+    Quad cos[harmonic_count][block_quads], sin[harmonic_count][block_quads];
+    Within() {
+        for (size_t i = 0; i < harmonic_count; ++i)
+            for (int32_t k = 0; k < block_nodes; ++k) {
+                const Harmonic &wave = circle.at(harmonic_orders[i] * k);
+                cos[i][k / 4][k % 4] = wave.cos;
+                sin[i][k / 4][k % 4] = wave.sin;
+            }
     }
-    return {sums[0], sums[1]};
+};
+const Within within;
+
+FL_CLONES void series(const Transmission &t, int32_t first, Sums &out) {
+    Sums sums;
+    for (size_t i = 0; i < harmonic_count; ++i) {
+        const Harmonic &at = circle.at(harmonic_orders[i] * first);
+        const Harmonic delta = seen_from(at, t.delta_rad[i]), backlash = seen_from(at, t.backlash_rad[i]);
+#pragma GCC unroll 2
+        for (size_t k = 0; k < block_quads; ++k) {
+            sums.delta_rad[k] += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
+            sums.backlash_rad[k] += backlash.cos * within.cos[i][k] + backlash.sin * within.sin[i][k];
+        }
+    }
+    out = sums;
 }
 
 double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {
@@ -77,28 +108,42 @@ bool plainly_sound(const Transmission &t, double gear_ratio) {
 
 } // namespace
 
+void NodeBlock::load(const Transmission &t, double gear_ratio, int32_t block) {
+    const int32_t first = block * block_nodes;
+    Sums sums;
+    series(t, first, sums);
+    const bool worn = is_worn(t);
+    for (int32_t k = 0; k < block_nodes; ++k) {
+        const double theta = node_step_rad * (first + k);
+        const double delta = sums.delta_rad[k / 4][k % 4] + (worn ? wear_at(t.wear, theta) : 0.0);
+        nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
+                                         t.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
+    }
+    number = block;
+}
+
 Node transmission_node(const Transmission &t, double gear_ratio, int32_t index) {
-    const double theta = node_step_rad * index;
-    const Sums sums = series(t, index);
-    const double delta = sums.delta_rad + wear_at(t.wear, theta);
-    return {gear_ratio * (theta + delta), t.backlash_mean_rad + sums.backlash_rad};
+    NodeBlock block;
+    return block.at(t, gear_ratio, index);
 }
 
 Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index) {
-    return between(index, transmission_node(t, gear_ratio, index),
-                   transmission_node(t, gear_ratio, index + 1));
+    NodeBlock block;
+    const Node lo = block.at(t, gear_ratio, index);
+    return between(index, lo, block.at(t, gear_ratio, index + 1));
 }
 
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near) {
+Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near,
+                  NodeBlock &block) {
     int32_t index = near.index;
     Node lo = near.lo, hi = near.hi;
     while (gear_rad >= hi.gear_rad) {
         lo = hi;
-        hi = transmission_node(t, gear_ratio, ++index + 1);
+        hi = block.at(t, gear_ratio, ++index + 1);
     }
     while (gear_rad < lo.gear_rad) {
         hi = lo;
-        lo = transmission_node(t, gear_ratio, --index);
+        lo = block.at(t, gear_ratio, --index);
     }
     return between(index, lo, hi);
 }
@@ -120,9 +165,10 @@ const char *transmission_fault(const Transmission &t, double gear_ratio) {
     // the series repeat every turn, wear does not
     const int32_t first = is_worn(t) ? -2 * nodes_per_turn : 0;
     const int32_t last = is_worn(t) ? 2 * nodes_per_turn : nodes_per_turn;
-    Node lo = transmission_node(t, gear_ratio, first);
+    NodeBlock block;
+    Node lo = block.at(t, gear_ratio, first);
     for (int32_t i = first + 1; i <= last; ++i) {
-        const Node hi = transmission_node(t, gear_ratio, i);
+        const Node hi = block.at(t, gear_ratio, i);
         if (hi.backlash_rad < 0.0) return "backlash is negative somewhere";
         if (!(hi.gear_rad > lo.gear_rad)) return "delta falls faster than the angle rises";
         if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))

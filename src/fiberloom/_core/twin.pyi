@@ -31,9 +31,9 @@ def transmission(transmission: Annotated[NDArray[numpy.float64], dict(shape=(Non
 class Plant:
     """Motors, gears and hall sensors of n axes, without firmware."""
 
-    def __init__(self, plant: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], transmission: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], output_rad: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int = 0, kernel: str = '', substeps: int = 10) -> None:
+    def __init__(self, plant: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], transmission: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], output_rad: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], seed: int = 0, kernel: str = '', substeps: int | tuple[int, int] = 10) -> None:
         """
-        plant (n, len(PLANT_PARAMS)), transmission (n, TRANSMISSION_SIZE), output_rad (n,); substeps a tick. ValueError names what is wrong with which axis.
+        plant (n, len(PLANT_PARAMS)), transmission (n, TRANSMISSION_SIZE), output_rad (n,); substeps a tick, or a pair: of any axis, and of one that pushes its gear all the time. ValueError names what is wrong with which axis.
         """
 
     def run(self, duty: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, 4))], Annotated[NDArray[numpy.int32], dict(shape=(None, None, 2))]]:
@@ -113,11 +113,13 @@ class TwinSetup:
     def side_by_side(self, arg: bool, /) -> None: ...
 
     @property
-    def substeps(self) -> int:
-        """of the plant in a tick"""
+    def substeps(self) -> tuple[int, int]:
+        """
+        of the plant in a tick: of any axis, and of one that pushes its gear all the time; one number for both
+        """
 
     @substeps.setter
-    def substeps(self, arg: int, /) -> None: ...
+    def substeps(self, arg: int | tuple[int, int], /) -> None: ...
 
     @property
     def kernel(self) -> str:

@@ -46,8 +46,13 @@ class Touch(NamedTuple):
     other: int | None
 
 
+ADAPTIVE = (10, 2)
+"""Substeps: 50 us, but 250 us while an axis pushes its gear. The error is that of 50 us, which contacts and
+reversals make (docs/twin.md)."""
+
+
 class Computing(TypedDict, total=False):
-    """How a twin is computed: the same bytes whatever they are, but for `substeps`."""
+    """How a twin is computed: the same bytes whatever they are, but for the substeps."""
 
     threads: int | None
     """One for each core when None."""
@@ -57,8 +62,9 @@ class Computing(TypedDict, total=False):
     """Laws of the firmware in vectors."""
     kernel: str
     """Instruction set of the inner loops; empty: the best."""
-    substeps: int
-    """Of the plant in a tick; another number is other physics."""
+    substeps: int | tuple[int, int]
+    """Of the plant in a tick, 10 unless told; a second number is that of a tick in which an axis pushes its
+    gear all the time: `ADAPTIVE`. Other numbers are other physics."""
 
 
 class Twin:

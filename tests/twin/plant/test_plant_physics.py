@@ -307,21 +307,27 @@ def test_hall_counts_stay_in_twelve_bits():
 # -- bits
 
 
-def random_run(kernel, seed=4, substeps=10):
+def random_run(kernel, seed=4, **steps):
     rng = np.random.default_rng(2)
     params, gears = UNITS.plant.ravel(), UNITS.gear.ravel()
-    p = plant(params, gears, rng.uniform(0.1, 3.0, 14), seed=seed, kernel=kernel, substeps=substeps)
+    p = plant(params, gears, rng.uniform(0.1, 3.0, 14), seed=seed, kernel=kernel, **steps)
     angle = np.cumsum(rng.uniform(-0.2, 0.35, (400, 14)), axis=0)
     log, hall = p.run(field(rng.uniform(0, 1.2, (400, 14, 1)), angle))
     return log.tobytes() + hall.tobytes()
 
 
-def test_every_kernel_gives_the_same_bytes():
-    runs = {name: random_run(name) for name in core.KERNELS}
+@pytest.mark.parametrize("steps", [{}, {"substeps": (10, 2)}])
+def test_every_kernel_gives_the_same_bytes(steps):
+    runs = {name: random_run(name, **steps) for name in core.KERNELS}
     assert len(set(runs.values())) == 1, list(runs)
 
 
-def driven(companions, kernel):
+def test_longer_steps_are_other_bytes_and_as_many_steps_are_none():
+    assert random_run("", substeps=(10, 2)) != random_run("")
+    assert random_run("", substeps=10) == random_run("")
+
+
+def driven(companions, kernel, **steps):
     """16 positioners, the even ones driven up and down with ramps and stops, the odd ones as told."""
     ticks = np.arange(1200)
     speed = 0.1 * np.clip(np.sin(2 * np.pi * ticks / 400) * 3, -1, 1)
@@ -329,20 +335,21 @@ def driven(companions, kernel):
     angle = np.repeat(np.stack([np.cumsum(speed), ways[companions]], axis=1), 2, axis=1)
     rows = np.arange(16) % len(UNITS)
     params, gears = UNITS.plant[rows].ravel(), UNITS.gear[rows].ravel()
-    log, hall = plant(params, gears, np.full(32, 1.0), seed=3, kernel=kernel).run(
-        field(1.0, np.tile(angle, 8))
-    )
+    axes = plant(params, gears, np.full(32, 1.0), seed=3, kernel=kernel, **steps)
+    log, hall = axes.run(field(1.0, np.tile(angle, 8)))
     even = np.arange(32) % 4 < 2
     return log[:, even], hall[:, even]
 
 
 @pytest.mark.parametrize("kernel", core.KERNELS)
-def test_what_an_axis_does_is_its_own(kernel):
-    """Axes that all push their gears are stepped by shorter code than any that has to find contacts."""
-    log, hall = driven("alike", kernel)
+@pytest.mark.parametrize("steps", [{}, {"substeps": (10, 2)}])
+def test_what_an_axis_does_is_its_own(kernel, steps):
+    """Axes that push their gears are stepped by shorter code, or in longer steps, than any that has to find
+    contacts."""
+    log, hall = driven("alike", kernel, **steps)
     assert np.ptp(log[..., GEAR_RAD], axis=0).min() > 5.0
     for companions in ("to and fro", "at rest"):
-        other, other_hall = driven(companions, kernel)
+        other, other_hall = driven(companions, kernel, **steps)
         assert (other == log).all()
         assert (other_hall == hall).all()
 

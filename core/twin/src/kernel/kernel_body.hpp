@@ -159,16 +159,16 @@ inline void end_ways(AxisGroup &g, int chunk) {
     }
 }
 
+// A bit for each lane whose gear has left its cell.
 inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
-    uint32_t any = 0;
-    for (int i = chunk; i < chunk + chunk_size; ++i)
-        any |= static_cast<uint32_t>(g.gear_rad[i] < g.cell_lo_rad[i]) |
-               static_cast<uint32_t>(g.gear_rad[i] >= g.cell_hi_rad[i]);
-    if (any == 0) return 0;
-    uint64_t out = 0;
-    for (int i = chunk; i < chunk + chunk_size; ++i)
-        if (g.gear_rad[i] < g.cell_lo_rad[i] || g.gear_rad[i] >= g.cell_hi_rad[i]) out |= uint64_t{1} << i;
-    return out;
+    uint32_t out = 0;
+    for (int k = 0; k < chunk_size; ++k) {
+        const double gear = g.gear_rad[chunk + k];
+        const uint32_t leaves = static_cast<uint32_t>(gear < g.cell_lo_rad[chunk + k]) |
+                                static_cast<uint32_t>(gear >= g.cell_hi_rad[chunk + k]);
+        out |= leaves << k;
+    }
+    return uint64_t{out} << chunk;
 }
 
 // -- inside a tick, in registers -----------------------------------------------------------------
@@ -253,9 +253,23 @@ inline V drift_now(const AxisGroup &g, int i, const Motion &m) {
     return m.p * step_per_p(g, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
 }
 
+// Lanes of a group that have done their tick, all bits of each.
+struct Done {
+    alignas(64) int32_t lane[lane_count];
+};
+
+inline void store_rest(AxisGroup &g, int i, const Done &done, Motion m) {
+    const Mask had = *reinterpret_cast<const Mask *>(done.lane + i);
+    const Motion before = load_motion(g, i);
+    m.turned = had ? before.turned : m.turned;
+    m.p = had ? before.p : m.p;
+    m.gear = had ? before.gear : m.gear;
+    store_motion(g, i, m);
+}
+
 // Half drift, kick, half drift; two half drifts between kicks are one. All chunks stay in registers over
 // the substeps, and take turns inside each, so that the processor has independent ones to work on.
-template <int count> inline void move(AxisGroup &g, const int *chunks, int substeps) {
+template <int count> inline void move(AxisGroup &g, const int *chunks, int substeps, const Done *done) {
     constexpr int vectors = chunk_size / width;
     Motion motion[count][vectors];
     const auto each = [&](auto &&what) {
@@ -269,7 +283,10 @@ template <int count> inline void move(AxisGroup &g, const int *chunks, int subst
     for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) { drift(m, kick(g, i, m)); });
     each([&](Motion &m, int i) {
         drift(m, 0.5f * kick(g, i, m));
-        store_motion(g, i, m);
+        if (done == nullptr)
+            store_motion(g, i, m);
+        else
+            store_rest(g, i, *done, m);
     });
 }
 
@@ -294,8 +311,20 @@ inline Mask sets_out_pushing(const AxisGroup &g, int i) {
     return (contact.positive & (p > V{})) | (contact.negative & (p < V{})) | still(g, i);
 }
 
-inline Pushing load_pushing(const AxisGroup &g, int i) {
-    const V p = load(g.p_Nms + i), motor = load(g.coulomb_motor_Nms + i);
+// What a step of a rotor that pushes needs beside impulses. `coarse`: of the longer steps; the momentum is
+// then told in steps, too, by the share `per_step` of its own, so that every impulse stays as it is.
+template <bool coarse> inline V drag_of(const AxisGroup &g, int i) {
+    return load((coarse ? g.drag_coarse : g.drag_push) + i);
+}
+template <bool coarse> inline V drag_inverse_of(const AxisGroup &g, int i) {
+    return load((coarse ? g.drag_coarse_inverse : g.drag_push_inverse) + i);
+}
+template <bool coarse> inline V way_per_p(const AxisGroup &g, int i) {
+    return load((coarse ? g.step_per_p_coarse : g.step_per_p_push) + i);
+}
+
+inline Pushing load_pushing(const AxisGroup &g, int i, float per_step) {
+    const V p = load(g.p_Nms + i) * per_step, motor = load(g.coulomb_motor_Nms + i);
     const V up = motor + load(g.resist_up_Nms + i), down = motor + load(g.resist_down_Nms + i);
     const Mask falls = p < V{};
     return {load(g.turned_rad + i), p,         load(g.sine + i), load(g.cosine + i),
@@ -303,12 +332,12 @@ inline Pushing load_pushing(const AxisGroup &g, int i) {
 }
 
 // kick() where the rotor pushes.
-inline V push(const AxisGroup &g, int i, Pushing &m) {
+template <bool coarse> inline V push(const AxisGroup &g, int i, Pushing &m) {
     const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
-    const V moved = free - load(g.drag_push + i) * m.p - m.resist;
+    const V moved = free - drag_of<coarse>(g, i) * m.p - m.resist;
     m.slowest = smaller(m.slowest, turned_by(moved, m.down));
-    m.p = moved * load(g.drag_push_inverse + i);
-    return m.p * load(g.step_per_p_push + i);
+    m.p = moved * drag_inverse_of<coarse>(g, i);
+    return m.p * way_per_p<coarse>(g, i);
 }
 
 // Lanes that have pushed all the time, or are still.
@@ -324,6 +353,16 @@ inline void store_pushing(AxisGroup &g, int i, const Pushing &m, V turned) {
     store(g.gear_ahead_rad + i, gear);
     store(g.turned_rad + i, both(moves, m.turned));
     store(g.p_Nms + i, both(moves, m.p));
+}
+
+// The same for some of the lanes; the others stay as they are.
+inline void store_lanes(AxisGroup &g, int i, Mask lanes, const Pushing &m, V turned, float steps) {
+    const V before = load(g.gear_ahead_rad + i);
+    V gear = before;
+    close_gap(g, i, turned, gear);
+    store(g.gear_ahead_rad + i, lanes ? gear : before);
+    store(g.turned_rad + i, lanes ? m.turned : load(g.turned_rad + i));
+    store(g.p_Nms + i, lanes ? m.p * steps : load(g.p_Nms + i));
 }
 
 inline bool all(Mask flags) {
@@ -352,39 +391,81 @@ struct Chunks {
     void add(int chunk) { at[count++] = chunk; }
 };
 
+// The motion of some chunks that push, at the end of a tick, and as it was at the last kick.
+template <int count> struct Push {
+    static constexpr int vectors = chunk_size / width;
+    Pushing motion[count][vectors];
+    V turned[count][vectors];
+};
+
+template <int count, bool coarse>
+inline void push_through(const AxisGroup &g, const int *chunks, int substeps, float per_step,
+                         Push<count> &p) {
+    const auto each = [&](auto &&what) {
+        for (int k = 0; k < count; ++k)
+            for (int v = 0; v < Push<count>::vectors; ++v)
+                what(p.motion[k][v], chunks[k] + v * width, p.turned[k][v]);
+    };
+    each([&](Pushing &m, int i, V &) {
+        m = load_pushing(g, i, per_step);
+        drift(m, 0.5f * (m.p * way_per_p<coarse>(g, i)));
+    });
+    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push<coarse>(g, i, m)); });
+    each([&](Pushing &m, int i, V &at_kick) {
+        at_kick = m.turned;
+        drift(m, 0.5f * push<coarse>(g, i, m));
+    });
+}
+
 // As move(), to the bit. Chunks in which a rotor has come to rest or turned back stay as they were: `others`
 // gets them.
 template <int count> inline void move_pushing(AxisGroup &g, const int *chunks, int substeps, Chunks &others) {
-    constexpr int vectors = chunk_size / width;
-    Pushing motion[count][vectors];
-    V turned[count][vectors];
-    const auto each = [&](auto &&what) {
-        for (int k = 0; k < count; ++k)
-            for (int v = 0; v < vectors; ++v) what(motion[k][v], chunks[k] + v * width, turned[k][v]);
-    };
-    each([&](Pushing &m, int i, V &) {
-        m = load_pushing(g, i);
-        drift(m, 0.5f * (m.p * load(g.step_per_p_push + i)));
-    });
-    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push(g, i, m)); });
-    each([&](Pushing &m, int i, V &at_kick) {
-        at_kick = m.turned;
-        drift(m, 0.5f * push(g, i, m));
-    });
+    Push<count> p;
+    push_through<count, false>(g, chunks, substeps, 1.0f, p);
     for (int k = 0; k < count; ++k) {
         const int chunk = chunks[k];
-        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(g, i, motion[k][v]); }))
+        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(g, i, p.motion[k][v]); }))
             others.add(chunk);
         else
-            for (int v = 0; v < vectors; ++v) store_pushing(g, chunk + v * width, motion[k][v], turned[k][v]);
+            for (int v = 0; v < Push<count>::vectors; ++v)
+                store_pushing(g, chunk + v * width, p.motion[k][v], p.turned[k][v]);
+    }
+}
+
+// -- longer steps --------------------------------------------------------------------------------
+
+// What makes an error is the moment of a contact, not a smooth motion: an axis that pushes its gear through
+// the whole tick takes fewer steps. Any other takes all of them, beside it: what an axis does is its own.
+// `others` gets the chunks with such axes, `done` says which lanes have been moved here.
+template <int count>
+inline void move_coarsely(AxisGroup &g, const int *chunks, Substeps substeps, Chunks &others, Done &done) {
+    Push<count> p;
+    const float per_step = static_cast<float>(substeps.pushing) / static_cast<float>(substeps.all);
+    const float steps = static_cast<float>(substeps.all) / static_cast<float>(substeps.pushing);
+    push_through<count, true>(g, chunks, substeps.pushing, per_step, p);
+    for (int k = 0; k < count; ++k) {
+        const int chunk = chunks[k];
+        const auto keep = [&](int i, int v) {
+            const Mask lanes = sets_out_pushing(g, i) & kept_pushing(g, i, p.motion[k][v]) & ~still(g, i);
+            *reinterpret_cast<Mask *>(done.lane + i) = lanes;
+            return lanes | still(g, i);
+        };
+        Mask every = keep(chunk, 0);
+        for (int v = 1; v < Push<count>::vectors; ++v) every &= keep(chunk + v * width, v);
+        if (!all(every)) others.add(chunk);
+        for (int v = 0; v < Push<count>::vectors; ++v) {
+            const int i = chunk + v * width;
+            const Mask lanes = *reinterpret_cast<const Mask *>(done.lane + i);
+            store_lanes(g, i, lanes, p.motion[k][v], p.turned[k][v], steps);
+        }
     }
 }
 
 // -- a tick -------------------------------------------------------------------------------------
 
-template <int most> inline void move_all(AxisGroup &g, const Chunks &chunks, int substeps) {
-    if (chunks.count == most) return move<most>(g, chunks.at, substeps);
-    if constexpr (most > 1) move_all<most - 1>(g, chunks, substeps);
+template <int most> inline void move_all(AxisGroup &g, const Chunks &chunks, int substeps, const Done *done) {
+    if (chunks.count == most) return move<most>(g, chunks.at, substeps, done);
+    if constexpr (most > 1) move_all<most - 1>(g, chunks, substeps, done);
 }
 
 template <int most> inline void push_all(AxisGroup &g, const Chunks &chunks, int substeps, Chunks &others) {
@@ -392,19 +473,51 @@ template <int most> inline void push_all(AxisGroup &g, const Chunks &chunks, int
     if constexpr (most > 1) push_all<most - 1>(g, chunks, substeps, others);
 }
 
-TickEvents step(AxisGroup &g, int substeps) {
-    constexpr int most = lane_count / chunk_size;
-    Chunks moving, pushing, others;
+template <int most>
+inline void push_all_coarsely(AxisGroup &g, const Chunks &chunks, Substeps substeps, Chunks &others,
+                              Done &done) {
+    if (chunks.count == most) return move_coarsely<most>(g, chunks.at, substeps, others, done);
+    if constexpr (most > 1) push_all_coarsely<most - 1>(g, chunks, substeps, others, done);
+}
+
+constexpr int most_chunks = lane_count / chunk_size;
+
+// Every axis in the same steps.
+inline void move_alike(AxisGroup &g, const Chunks &moving, int substeps) {
+    Chunks pushing, others;
+    for (int k = 0; k < moving.count; ++k) {
+        const int c = moving.at[k];
+        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(g, i); }) ? pushing : others).add(c);
+    }
+    push_all<most_chunks>(g, pushing, substeps, others);
+    move_all<most_chunks>(g, others, substeps, nullptr);
+}
+
+// Each axis in its own.
+inline void move_each(AxisGroup &g, const Chunks &moving, Substeps substeps) {
+    Chunks pushing, others;
+    Done done = {};
+    for (int k = 0; k < moving.count; ++k) {
+        const int c = moving.at[k];
+        const auto idle = [&](int i, int) { return ~sets_out_pushing(g, i) | still(g, i); };
+        (all_of_chunk(c, idle) ? others : pushing).add(c);
+    }
+    push_all_coarsely<most_chunks>(g, pushing, substeps, others, done);
+    move_all<most_chunks>(g, others, substeps.all, &done);
+}
+
+TickEvents step(AxisGroup &g, Substeps substeps) {
+    Chunks moving;
     for (int c = 0; c < lane_count; c += chunk_size)
         if (!all_of_chunk(c, [&](int i, int) { return still(g, i); })) moving.add(c);
     for (int k = 0; k < moving.count; ++k) {
-        const int c = moving.at[k];
-        load_gear(g, c);
-        begin_ways(g, c);
-        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(g, i); }) ? pushing : others).add(c);
+        load_gear(g, moving.at[k]);
+        begin_ways(g, moving.at[k]);
     }
-    push_all<most>(g, pushing, substeps, others);
-    move_all<most>(g, others, substeps);
+    if (substeps.pushing == substeps.all)
+        move_alike(g, moving, substeps.all);
+    else
+        move_each(g, moving, substeps);
     TickEvents events;
     for (int k = 0; k < moving.count; ++k) {
         end_ways(g, moving.at[k]);

@@ -61,6 +61,8 @@ struct alignas(64) AxisGroup {
     Lanes drag_free, drag_free_inverse;     // h d / 2J and 1/(1 + that), rotor alone
     Lanes drag_push, drag_push_inverse;     // rotor with gear
     Lanes step_per_p_free, step_per_p_push; // h / J
+    // rotor with gear in the longer steps of Substeps, where p is told in units of h / step
+    Lanes drag_coarse, drag_coarse_inverse, step_per_p_coarse;
 
     // hall channels: offset + sin_a sine ; offset + cos_b cosine + sin_b sine ; noise
     Lanes hall_offset_a, hall_sin_a, hall_offset_b, hall_cos_b, hall_sin_b, hall_noise;
@@ -76,6 +78,11 @@ struct TickEvents {
     uint64_t left_cell = 0;
 };
 
+// Steps of a tick: of any axis, and of one that pushes its gear all the time.
+struct Substeps {
+    int all = 10, pushing = 10;
+};
+
 struct LawBatch;
 
 // One build of the inner loops for one instruction set. All builds do the same operations in the same
@@ -84,7 +91,7 @@ struct Kernel {
     const char *name;
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
-    TickEvents (*step)(AxisGroup &group, int substeps);
+    TickEvents (*step)(AxisGroup &group, Substeps substeps);
     void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
     void (*advance_law)(LawBatch &batch, uint64_t tick); // the commands of those that cruise
     void (*drive_law)(LawBatch &batch, unsigned laws);   // a bit of 1 << law for each that a lane wants

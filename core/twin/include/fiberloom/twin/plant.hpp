@@ -41,7 +41,7 @@ class Plant {
     // Axes rest at output_rad in negative contact. Throws std::invalid_argument that names the axis
     // and what is wrong with it. kernel: a name, or "" for the best of this machine.
     Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
-          const char *kernel = "", int substeps = 10);
+          const char *kernel = "", Substeps substeps = {});
 
     // Number of axes.
     size_t axis_count() const { return axes_.size(); }
@@ -134,6 +134,7 @@ class Plant {
     // the travel of the gear, drawn anew at every node that is passed, straight in between.
     struct Seat {
         double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
+        double rms_rad = 0.0;
         uint32_t key = 0, passes = 0;
     };
     // Open: no switch conducts, the duties do not count. Floating: no diode does either.
@@ -142,9 +143,11 @@ class Plant {
         bool operator==(const Bridge &) const = default;
     };
     struct Axis {
-        Unit unit;
+        // what a new cell asks for comes first, and most of the rest only with a new block
         Cell cell;
+        NodeBlock block;
         Seat seat;
+        Unit unit;
         AxisFaults faults;
         Bridge bridge;
         double torque_Nm = 0.0;
@@ -172,6 +175,8 @@ class Plant {
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
     void fetch(size_t axis) const;
+    void fetch_gear(size_t axis) const;
+    void seek_cell(size_t axis, double gear_rad);
     void follow_cell(size_t axis);
     double next_seat(size_t axis, double from_rad);
     void follow_seat(size_t axis, int32_t nodes);
@@ -180,7 +185,7 @@ class Plant {
     void slip(size_t axis);
 
     const Kernel *kernel_;
-    int substeps_;
+    Substeps substeps_;
     double h_s_;
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 
 #include "fiberloom/twin/plant_params.hpp"
@@ -58,13 +59,33 @@ struct Cell {
     double backlash_1 = 0.0;
 };
 
-// Node `index`, which lies at the output angle index 2 pi / nodes_per_turn.
+inline constexpr int32_t block_nodes = 8; // a turn has a whole number of blocks
+
+// Nodes that follow each other, found together: an axis that goes along needs them in turn. The block decides
+// how their sums are rounded, so that a node is the same whatever was asked for before.
+struct NodeBlock {
+    int32_t number = INT32_MIN; // its first node is number * block_nodes
+    std::array<Node, block_nodes> nodes;
+
+    // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One block is for one gear.
+    const Node &at(const Transmission &t, double gear_ratio, int32_t index) {
+        if (index >> block_shift != number) load(t, gear_ratio, index >> block_shift);
+        return nodes[static_cast<size_t>(index & (block_nodes - 1))];
+    }
+
+  private:
+    static constexpr int block_shift = 3;
+    static_assert(1 << block_shift == block_nodes);
+    void load(const Transmission &t, double gear_ratio, int32_t block);
+};
+
+// One node, and the cell from it to the next.
 Node transmission_node(const Transmission &t, double gear_ratio, int32_t index);
-// From node `index` to the next.
 Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index);
 
-// The cell that holds a gear angle, sought from a cell of the same gear.
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near);
+// The cell that holds a gear angle, sought from a cell of the same gear. `block` is of that gear.
+Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near,
+                  NodeBlock &block);
 // The cell that holds an output angle.
 Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad);
 

@@ -36,7 +36,7 @@ struct TwinSetup {
     bool side_by_side = true; // the firmware's laws, as vector code where axes track
     uint64_t seed = 0;
     int threads = 1;
-    int substeps = 10;
+    Substeps substeps;
     std::string kernel; // "" for the best
 };
 
