@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fiberloom.field import Field
+    from fiberloom.instruments import FocalPlane
     from fiberloom.operation.results import Observation
 
 TWIN = "twin:"

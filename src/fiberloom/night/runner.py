@@ -53,7 +53,6 @@ from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside, entered
 from fiberloom.operation.series.ahead import PlannedAhead
-from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.recover import Recovery
 from fiberloom.operation.session.session import HeldArray, fold

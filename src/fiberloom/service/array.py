@@ -24,7 +24,6 @@ from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.session.array_lock import state_of
-from fiberloom.operation.safety.memory import give_back
 from fiberloom.operation.session.session import KnownArray, Session, SessionReport
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
 from fiberloom.operation.session.stopping import Stopper
