@@ -91,7 +91,7 @@ def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tu
     from fiberloom.twin import draw_units
 
     require_maps(instrument)
-    settings = _settings(options, instrument)
+    settings = settings_of(options, instrument)
     plane = generate(instrument, options.seed, n_positioners=options.units)
     shown.say("drawing units")
     bench = draw_units(plane, options.seed, errors=settings.errors.at_calibration())
@@ -108,14 +108,15 @@ def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tu
         "terms": _terms(found, alone),
         "moves": _moves(found, seen, full, requirement_um),
         "halved": _halved(improvements(plane, bench, settings)),
-        "attitudes": _rounded(attitudes(plane, bench, settings, options.fields)),
-        "nights": _rounded(nights(plane, bench, settings, options.fields)),
+        "attitudes": rounded(attitudes(plane, bench, settings, options.fields)),
+        "nights": rounded(nights(plane, bench, settings, options.fields)),
         "tilts": _tilts(options, plane),
     }
     return report, found.beyond(settings.corrections, requirement_um)
 
 
-def _settings(options: BudgetOptions, instrument: Any) -> BudgetSettings:
+def settings_of(options: BudgetOptions, instrument: Any) -> BudgetSettings:
+    """Of the `options`, with the sizes of errors that the `instrument` says."""
     from fiberloom.design.budget.terms import BudgetSettings
     from fiberloom.twin.errors.sizes import TwinErrors
 
@@ -168,6 +169,7 @@ def _moves(found: Budget, seen: Simulated, full: list[float], requirement_um: fl
             "corrections": k,
             "rms_um": round(um, 3),
             "rms_um_twin": round(float(seen.rms_um[k]), 3),
+            "rms_error_um_twin": round(float(seen.rms_error_um[k]), 3),
             "p95_um_twin": round(float(seen.p95_um[k]), 3),
             "beyond_requirement_percent": round(100.0 * found.beyond(k, requirement_um), 3),
         }
@@ -197,7 +199,8 @@ def _halved(found: list[Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _rounded(found: Sequence[Attitude | Night]) -> list[dict[str, float]]:
+def rounded(found: Sequence[Attitude | Night]) -> list[dict[str, float]]:
+    """Rows of attitudes or nights, as they are printed."""
     return [{name: round(value, 3) for name, value in vars(one).items()} for one in found]
 
 

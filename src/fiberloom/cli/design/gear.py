@@ -142,4 +142,8 @@ def spring_row(one: SpringWindow) -> dict[str, Any]:
     for name in ("closes", "holds", "turns"):
         margin = getattr(one, name)
         row[f"{name}_by"] = f"{np.median(margin):.2f}, worst {margin.min():.2f}"
-    return row | {"share_within": round(one.good_share, 3), "advice": one.advice()}
+    return row | {
+        "share_within": round(one.good_share, 3),
+        "error_within": round(one.good_error, 3),
+        "advice": one.advice(),
+    }
