@@ -23,7 +23,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BudgetOptions(DesignOptions):
+class BeamOptions:
+    """Of a command that looks at tilts."""
+
+    focal_ratio: Annotated[
+        float | None, typer.Option(help="Of the beam: what tilted axes and fibres do to focus and light.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetOptions(BeamOptions, DesignOptions):
     """Of `fiberloom design budget`."""
 
     corrections: Annotated[int, typer.Option(min=0, max=20, help="After the blind move.")] = 2
@@ -33,9 +42,6 @@ class BudgetOptions(DesignOptions):
     ] = "none"
     zenith: Annotated[float, typer.Option(help="Zenith distance, deg; with gravity among the errors.")] = 0.0
     turn: Annotated[float, typer.Option(help="By which the rotator turns from image to exposure, deg.")] = 0.0
-    focal_ratio: Annotated[
-        float | None, typer.Option(help="Of the beam: what tilted axes and fibres do to focus and light.")
-    ] = None
     axis_tilt: Annotated[str, typer.Option(help="Of the axes alpha,beta, deg rms; with --focal-ratio.")] = (
         "0.1,0.1"
     )
@@ -163,11 +169,14 @@ def _told(alone: dict[str, Alone], name: str, which: str) -> float | str:
 
 
 def _moves(found: Budget, seen: Simulated, full: list[float], requirement_um: float) -> list[dict[str, Any]]:
+    from fiberloom.design.budget.tilt import RAYLEIGH_95
+
     rows = []
     for k, um in enumerate(found.total_um):
         row = {
             "corrections": k,
             "rms_um": round(um, 3),
+            "p95_um": round(RAYLEIGH_95 * um, 3),
             "rms_um_twin": round(float(seen.rms_um[k]), 3),
             "rms_error_um_twin": round(float(seen.rms_error_um[k]), 3),
             "p95_um_twin": round(float(seen.p95_um[k]), 3),

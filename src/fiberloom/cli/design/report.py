@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fiberloom.cli.design.budget import BeamOptions
 from fiberloom.cli.design.check import CheckOptions
 from fiberloom.cli.options import require_instrument
 from fiberloom.cli.terminal import Waiting, waiting
@@ -25,7 +26,7 @@ RINGS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(CheckOptions):
+class ReportOptions(BeamOptions, CheckOptions):
     """Of `fiberloom design report`."""
 
     out: Annotated[Path, typer.Option(help="Page to write, HTML, with its pictures inside.")] = Path(
@@ -37,9 +38,6 @@ class ReportOptions(CheckOptions):
     scale: Annotated[float | None, typer.Option(help="Of the focal plane, um per arcsec; with --core.")] = (
         None
     )
-    focal_ratio: Annotated[
-        float | None, typer.Option(help="Of the beam: what tilted axes and fibres do to focus and light.")
-    ] = None
     fields: Annotated[int, typer.Option(min=2, help="Random fields of targets, for the shares.")] = 4
     units: Annotated[int, typer.Option(min=7, help="Of the twin, for the error budget.")] = 61
 
