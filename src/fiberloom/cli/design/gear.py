@@ -55,6 +55,10 @@ def gear(options: GearOptions) -> int:
 
         draw_gear(options.out, instrument.name, found)
     options.show([gear_row(one) for one in found])
+    if not options.as_json:
+        for one in found:
+            if not one.fits:
+                typer.echo(f"{one.axis}: {one.advice()}")
     return int(not all(one.fits for one in found))
 
 

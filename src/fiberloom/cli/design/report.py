@@ -175,7 +175,8 @@ def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> Desig
     draw_gear(picture, instrument.name, found)
     outside = " and ".join(one.axis for one in found if not one.fits)
     title = f"Gear: {outside} outside the window" if outside else "Gear: both ratios are in their windows"
-    return DesignSection(title, (), [[gear_row(one) for one in found]], picture)
+    says = [f"{one.axis}: {one.advice()}" for one in found if not one.fits]
+    return DesignSection(title, says, [[gear_row(one) for one in found]], picture)
 
 
 def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
