@@ -25,10 +25,8 @@ class InputError(ValueError):
     InputError('n_positioners = 0: must be at least 1')
     """
 
-    def __init__(self, text: str) -> None:
-        super().__init__(
-            text if len(text) <= MOST_LETTERS and "\n" not in text else one_line(text, MOST_LETTERS)
-        )
+    def __init__(self, text: str, most: int = MOST_LETTERS) -> None:
+        super().__init__(text if len(text) <= most and "\n" not in text else one_line(text, most))
 
 
 class StoppedError(RuntimeError):

@@ -28,7 +28,7 @@ CASES = [
     ("compare sdssv nosuch", "", "", "instrument 'nosuch'"),
     ("budget sdssv --errors fog", "", "", "--errors fog: known are all, none, arm"),
     ("budget sdssv --focal-ratio 0", "", "", "focal ratio 0: must be 0.1 to 100"),
-    ("power sdssv --limit 0.001", "", "", "one positioner takes 0.038 W; give at least that"),
+    ("power sdssv --limit 0.001", "", "", "one positioner takes 0.0385 W; give at least that"),
     ("power sdssv --every 0", "", "", "all positioners"),
     ("throughput sdssv --core 0 --scale 60", "", "", "core_um 0: must be above 0"),
     ("report nosuch", "", "", "instrument 'nosuch'"),

@@ -1,7 +1,9 @@
 """`design report`: one page with all of it, and what is not known is said."""
 
+from html import escape
 from html.parser import HTMLParser
 
+from fiberloom.cli.design.report import BUDGET_TABLES
 from fiberloom.design.page import DesignSection, design_html
 
 
@@ -34,7 +36,7 @@ def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path, monkeypat
     assert code == 0
     text = out.read_text()
     page = Page(text)
-    assert page.headings[1:] == [
+    assert [heading.split(":")[0] for heading in page.headings[1:]] == [
         "Check",
         "Coverage",
         "Efficiency",
@@ -48,6 +50,24 @@ def test_a_page_has_every_section_and_needs_nothing_else(fl, tmp_path, monkeypat
     assert page.foreign == []
     assert "not looked at: megara: alpha is a stepper" in text
     assert "config_hash" in text
+    # each heading says what was found
+    assert "Check: nothing wrong" in text
+    assert "Coverage: fibre reaches 100.00% of the plane" in text
+    assert "Gear: both ratios are in their windows" in text
+    assert " ± " in page.headings[3]
+
+
+def test_the_budget_has_attitudes_nights_tilts_and_statistical_errors(fl, tmp_path, monkeypatch):
+    monkeypatch.setattr("fiberloom.cli.design.report.RINGS", 2)
+    out = tmp_path / "sdssv.html"
+    words = ("--fields", 2, "--units", 7, "--focal-ratio", 5, "--out", out)
+    assert fl("design", "report", "sdssv", *words)[0] == 0
+    text = out.read_text()
+    for caption in BUDGET_TABLES.values():
+        assert f">{escape(caption)}</caption>" in text
+    for column in ("rms error um twin", "zenith deg", "warmer K", "error of shares", "error within"):
+        assert f"<th>{column}</th>" in text
+    assert "um rms blind" in text
 
 
 def test_what_is_written_is_text_and_no_markup():

@@ -42,10 +42,27 @@ class GearWindow:
     range_s: float
     """For the whole range, from rest to rest, at the axis' speed and acceleration."""
 
+    needed_rpm: float
+    """Of the motor, to make the range in time by this ratio; 0 where no time is asked for."""
+
     @property
     def fits(self) -> bool:
         """Is the ratio in the window?"""
         return self.least <= self.ratio <= self.most
+
+    def advice(self) -> str:
+        """What would help, with numbers; or that it fits."""
+        if self.fits:
+            return "fits"
+        if self.least > self.most:
+            faster = self.needed_rpm * self.least / self.ratio
+            return (
+                f"no window: {self.least} or more for {self.requirement_um:g} um, {self.most:.0f} or less "
+                f"for the time; a motor of {faster:.0f} rpm opens it"
+            )
+        if self.ratio < self.least:
+            return f"a gear of {self.least} or more, for {self.requirement_um:g} um"
+        return f"a gear of {self.most:.0f} or less, or a motor of {self.needed_rpm:.0f} rpm"
 
 
 def twin_knows(axis: Axis) -> bool:
@@ -106,6 +123,7 @@ def gear_window(
     way_deg = own.target_range_deg[1] - own.target_range_deg[0]
     used_rpm = deg_s_to_rpm(own.speed_deg_s, own.gear)
     um_deg = lever_mm * UM_PER_MM / DEG_PER_RAD
+    most = _most(AXES[axis], way_deg, within_s, own.acceleration_deg_s2, motor_rpm or used_rpm)
     return GearWindow(
         axis=AXES[axis],
         lever_mm=lever_mm,
@@ -113,12 +131,13 @@ def gear_window(
         output_deg=tolerance_deg,
         ratio=own.gear,
         least=least_ratio(requirement_um, lever_mm, motor_error_deg),
-        most=_most(AXES[axis], way_deg, within_s, own.acceleration_deg_s2, motor_rpm or used_rpm),
+        most=most,
         motor_deg_um=own.gear / um_deg,
         step_um=own.smallest_step_deg * um_deg,
         play_um=own.backlash_deg * um_deg,
         motor_rpm=used_rpm,
         range_s=move_s(way_deg, own.speed_deg_s, own.acceleration_deg_s2),
+        needed_rpm=0.0 if math.isinf(most) else (motor_rpm or used_rpm) * own.gear / most,
     )
 
 

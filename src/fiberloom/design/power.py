@@ -168,10 +168,13 @@ class PowerSettings:
 
     def __post_init__(self) -> None:
         ways = self.way_deg or (1.0, 1.0)
-        if (self.n is not None and self.n < 1) or min(*ways, self.every_s) <= 0.0 or self.rest_W < 0.0:
+        numbers = (*ways, self.every_s, self.rest_W)
+        short = min(*ways, self.every_s) <= 0.0 or self.rest_W < 0.0 or not np.isfinite(numbers).all()
+        if (self.n is not None and self.n < 1) or short:
             raise InputError(
                 f"power: {'all' if self.n is None else self.n} positioners, ways {ways[0]:g} and {ways[1]:g} "
-                f"deg every {self.every_s:g} s, {self.rest_W:g} W at rest: must be above 0 (rest: 0 or more)"
+                f"deg every {self.every_s:g} s, {self.rest_W:g} W at rest: must be finite and above 0 "
+                "(rest: 0 or more)"
             )
 
 

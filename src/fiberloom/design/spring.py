@@ -84,6 +84,13 @@ class SpringWindow:
         least = np.minimum(np.minimum(self.closes, self.holds), self.turns)
         return float((least >= self.factor).mean())
 
+    @property
+    def good_error(self) -> float:
+        """Standard error of that share, by the number of units; not 0 where none or all are outside."""
+        n = len(self.closes)
+        share = (self.good_share * n + 1.0) / (n + 2.0)
+        return float(np.sqrt(share * (1.0 - share) / n))
+
     def advice(self) -> str:
         """What is wrong for the median unit, with numbers, and what would help; or that it fits."""
         if self.high_mNm <= self.low_mNm:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -42,25 +43,41 @@ def ranges_of(text: str) -> dict[str, list[float]]:
     InputError
         Words that are no such ranges.
     """
-    found = {}
+    found: dict[str, list[float]] = {}
     for word in text.split(","):
-        key, sign, values = word.partition("=")
-        try:
-            found[key.strip()] = _values(values)
-        except ValueError:
-            sign = ""
-        if not sign or not found.get(key.strip()):
-            raise InputError(f"--vary {word}: give key=from:to:step or key=a;b;c, as in arms.alpha=5:9:0.5")
+        key, sign, values = (part.strip() for part in word.partition("="))
+        if not sign or not key or not values:
+            raise InputError(f"--vary {word}: {_GRAMMAR}")
+        if key in found:
+            raise InputError(f"--vary {word}: {key} is varied twice; give all its values at once")
+        found[key] = _values(word, values)
     return found
 
 
-def _values(text: str) -> list[float]:
-    if ":" not in text:
-        return [float(value) for value in text.split(";")]
-    low, high, step = (float(value) for value in text.split(":"))
-    if not (step > 0.0 and high >= low and (high - low) / step < MOST_DESIGNS):
-        raise ValueError(text)
-    return [float(round(x, 9)) for x in np.arange(low, high + 1e-9 * step + 1e-12, step)]
+_GRAMMAR = "give key=from:to:step or key=a;b;c, as in arms.alpha=5:9:0.5"
+
+
+def _values(word: str, text: str) -> list[float]:
+    single = ":" not in text
+    try:
+        numbers = [float(value) for value in text.split(";" if single else ":")]
+    except ValueError:
+        raise InputError(f"--vary {word}: {_GRAMMAR}") from None
+    if not np.isfinite(numbers).all():
+        raise InputError(f"--vary {word}: numbers must be finite")
+    if single:
+        return numbers
+    if len(numbers) != 3:
+        raise InputError(f"--vary {word}: {_GRAMMAR}")
+    low, high, step = numbers
+    if high < low:
+        raise InputError(f"--vary {word}: holds nothing, {low:g} is above {high:g}; give the lower one first")
+    if not step > 0.0:
+        raise InputError(f"--vary {word}: a step of {step:g} leads nowhere; give one above 0")
+    if (high - low) / step >= MOST_DESIGNS:
+        n = (high - low) / step
+        raise InputError(f"--vary {word}: {n:.3g} values, {MOST_DESIGNS} at most; give a wider step")
+    return [float(round(low + k * step, 9)) for k in range(math.floor((high - low) / step + 1e-9) + 1)]
 
 
 def sweep(

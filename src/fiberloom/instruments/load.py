@@ -12,8 +12,10 @@ from fiberloom.files import parse_toml, read_text, shown
 from fiberloom.instruments.model import Instrument
 from fiberloom.instruments.names import check_name, instrument_names
 
-MOST_TOLD = 12
+MOST_TOLD = 24
 """Problems of one file that are told; a file with more is of another kind."""
+LETTERS_EACH = 250
+"""Of a problem, with its key and value."""
 
 
 def load_instrument(name_or_path: str | Path) -> Instrument:
@@ -27,7 +29,7 @@ def parse_instrument(data: dict[str, Any], where: str) -> Instrument:
     try:
         return Instrument.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {all_problems(error)}") from None
+        raise InputError(f"{where}: {all_problems(error)}", LETTERS_EACH * MOST_TOLD) from None
 
 
 def instrument_text(name_or_path: str | Path) -> str:

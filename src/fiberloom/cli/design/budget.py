@@ -23,7 +23,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BudgetOptions(DesignOptions):
+class BeamOptions:
+    """Of a command that looks at tilts."""
+
+    focal_ratio: Annotated[
+        float | None, typer.Option(help="Of the beam: what tilted axes and fibres do to focus and light.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetOptions(BeamOptions, DesignOptions):
     """Of `fiberloom design budget`."""
 
     corrections: Annotated[int, typer.Option(min=0, max=20, help="After the blind move.")] = 2
@@ -33,9 +42,6 @@ class BudgetOptions(DesignOptions):
     ] = "none"
     zenith: Annotated[float, typer.Option(help="Zenith distance, deg; with gravity among the errors.")] = 0.0
     turn: Annotated[float, typer.Option(help="By which the rotator turns from image to exposure, deg.")] = 0.0
-    focal_ratio: Annotated[
-        float | None, typer.Option(help="Of the beam: what tilted axes and fibres do to focus and light.")
-    ] = None
     axis_tilt: Annotated[str, typer.Option(help="Of the axes alpha,beta, deg rms; with --focal-ratio.")] = (
         "0.1,0.1"
     )
@@ -91,7 +97,7 @@ def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tu
     from fiberloom.twin import draw_units
 
     require_maps(instrument)
-    settings = _settings(options, instrument)
+    settings = settings_of(options, instrument)
     plane = generate(instrument, options.seed, n_positioners=options.units)
     shown.say("drawing units")
     bench = draw_units(plane, options.seed, errors=settings.errors.at_calibration())
@@ -108,14 +114,15 @@ def budget_report(options: BudgetOptions, instrument: Any, shown: Waiting) -> tu
         "terms": _terms(found, alone),
         "moves": _moves(found, seen, full, requirement_um),
         "halved": _halved(improvements(plane, bench, settings)),
-        "attitudes": _rounded(attitudes(plane, bench, settings, options.fields)),
-        "nights": _rounded(nights(plane, bench, settings, options.fields)),
+        "attitudes": rounded(attitudes(plane, bench, settings, options.fields)),
+        "nights": rounded(nights(plane, bench, settings, options.fields)),
         "tilts": _tilts(options, plane),
     }
     return report, found.beyond(settings.corrections, requirement_um)
 
 
-def _settings(options: BudgetOptions, instrument: Any) -> BudgetSettings:
+def settings_of(options: BudgetOptions, instrument: Any) -> BudgetSettings:
+    """Of the `options`, with the sizes of errors that the `instrument` says."""
     from fiberloom.design.budget.terms import BudgetSettings
     from fiberloom.twin.errors.sizes import TwinErrors
 
@@ -162,12 +169,16 @@ def _told(alone: dict[str, Alone], name: str, which: str) -> float | str:
 
 
 def _moves(found: Budget, seen: Simulated, full: list[float], requirement_um: float) -> list[dict[str, Any]]:
+    from fiberloom.design.budget.tilt import RAYLEIGH_95
+
     rows = []
     for k, um in enumerate(found.total_um):
         row = {
             "corrections": k,
             "rms_um": round(um, 3),
+            "p95_um": round(RAYLEIGH_95 * um, 3),
             "rms_um_twin": round(float(seen.rms_um[k]), 3),
+            "rms_error_um_twin": round(float(seen.rms_error_um[k]), 3),
             "p95_um_twin": round(float(seen.p95_um[k]), 3),
             "beyond_requirement_percent": round(100.0 * found.beyond(k, requirement_um), 3),
         }
@@ -197,7 +208,8 @@ def _halved(found: list[Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _rounded(found: Sequence[Attitude | Night]) -> list[dict[str, float]]:
+def rounded(found: Sequence[Attitude | Night]) -> list[dict[str, float]]:
+    """Rows of attitudes or nights, as they are printed."""
     return [{name: round(value, 3) for name, value in vars(one).items()} for one in found]
 
 

@@ -143,6 +143,7 @@ def _row(fibre: str, lattice: Lattice, found: Coverage, array: ArrayCoverage | N
         "most": found.most,
     }
     row |= {f"share_{k}_or_more": round(float(found.at_least[k]), 4) for k in range(1, 5)}
+    row["error_of_shares"] = round(found.standard_error, 4)
     if array is not None:
         row |= {
             "array_reached": round(array.covered, 4),

@@ -55,6 +55,10 @@ def gear(options: GearOptions) -> int:
 
         draw_gear(options.out, instrument.name, found)
     options.show([gear_row(one) for one in found])
+    if not options.as_json:
+        for one in found:
+            if not one.fits:
+                typer.echo(f"{one.axis}: {one.advice()}")
     return int(not all(one.fits for one in found))
 
 
@@ -142,4 +146,8 @@ def spring_row(one: SpringWindow) -> dict[str, Any]:
     for name in ("closes", "holds", "turns"):
         margin = getattr(one, name)
         row[f"{name}_by"] = f"{np.median(margin):.2f}, worst {margin.min():.2f}"
-    return row | {"share_within": round(one.good_share, 3), "advice": one.advice()}
+    return row | {
+        "share_within": round(one.good_share, 3),
+        "error_within": round(one.good_error, 3),
+        "advice": one.advice(),
+    }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fiberloom.cli.design.budget import BeamOptions
 from fiberloom.cli.design.check import CheckOptions
 from fiberloom.cli.options import require_instrument
 from fiberloom.cli.terminal import Waiting, waiting
@@ -16,6 +17,7 @@ from fiberloom.errors import InputError
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
+    from fiberloom.cli.design.budget import BudgetOptions
     from fiberloom.design.page import DesignSection
     from fiberloom.instruments import Instrument
 
@@ -24,7 +26,7 @@ RINGS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReportOptions(CheckOptions):
+class ReportOptions(BeamOptions, CheckOptions):
     """Of `fiberloom design report`."""
 
     out: Annotated[Path, typer.Option(help="Page to write, HTML, with its pictures inside.")] = Path(
@@ -82,7 +84,10 @@ def _sections(
 ) -> Iterator[DesignSection]:
     from fiberloom.design.page import DesignSection
 
-    yield DesignSection("Check", found or ["Nothing is wrong."])
+    wrong = sum(line.startswith("wrong") for line in found)
+    notes = len(found) - wrong
+    title = f"Check: {wrong or 'nothing'} wrong, {notes or 'no'} {'note' if notes == 1 else 'notes'}"
+    yield DesignSection(title, found)
     for title, make in (
         ("Coverage", _coverage),
         ("Efficiency", _efficiency),
@@ -126,7 +131,16 @@ def _coverage(options: ReportOptions, instrument: Instrument, folder: Path) -> D
         )
         for fibre, out in zip(fibres, outs, strict=True)
     ]
-    return DesignSection("Coverage", (), [rows], picture)
+    fills = [row.pop("holes_filled_by", "no holes") for row in rows]
+    says = [
+        f"{fibre}: holes are filled by {' or '.join(fill)}."
+        for fibre, fill in zip(fibres, fills, strict=True)
+        if not isinstance(fill, str)
+    ]
+    reached, mean = rows[0]["share_1_or_more"], rows[0]["mean_in_ranges"]
+    hole = f", holes of {rows[0]['hole_um']:g} um" if rows[0]["hole_um"] else ""
+    title = f"Coverage: {fibres[0]} reaches {reached:.2%} of the plane{hole}, {mean:.2f} fibres at a point"
+    return DesignSection(title, says, [rows], picture)
 
 
 def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
@@ -141,7 +155,13 @@ def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) ->
     found = efficiency(where, fibre, [0.5, 1.0, 2.0, 4.0], settings)
     picture = folder / "efficiency.png"
     draw_efficiency(picture, f"{instrument.name}, {fibre}", found)
-    return DesignSection("Efficiency", (), [[efficiency_row(one) for one in found]], picture)
+    last = found[-1]
+    title = (
+        f"Efficiency: {last.used:.1%} ± {last.used_error:.1%} of the fibres are used at {last.per_fibre:.2f} "
+        f"targets per fibre"
+    )
+    caption = f"Means of {options.fields} random fields, with their standard errors."
+    return DesignSection(title, (), [[efficiency_row(one) for one in found]], picture, [caption])
 
 
 def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
@@ -153,7 +173,10 @@ def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> Desig
     found = [gear_window(instrument, axis, within_s=options.within) for axis in (0, 1)]
     picture = folder / "gear.png"
     draw_gear(picture, instrument.name, found)
-    return DesignSection("Gear", (), [[gear_row(one) for one in found]], picture)
+    outside = " and ".join(one.axis for one in found if not one.fits)
+    title = f"Gear: {outside} outside the window" if outside else "Gear: both ratios are in their windows"
+    says = [f"{one.axis}: {one.advice()}" for one in found if not one.fits]
+    return DesignSection(title, says, [[gear_row(one) for one in found]], picture)
 
 
 def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
@@ -165,17 +188,61 @@ def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> Des
     found = [spring_window(instrument, axis, seed=options.seed) for axis in (0, 1)]
     picture = folder / "spring.png"
     draw_spring(picture, instrument.name, found)
-    return DesignSection("Spring", (), [[spring_row(one) for one in found]], picture)
+    told = [f"{one.axis} {'fits' if one.advice() == 'fits' else 'is outside its window'}" for one in found]
+    caption = f"Medians of {len(found[0].closes)} units; the share within, with its standard error."
+    rows = [spring_row(one) for one in found]
+    return DesignSection(f"Spring: {', '.join(told)}", (), [rows], picture, [caption])
 
 
 def _budget(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.budget import BudgetOptions, budget_report
     from fiberloom.design.page import DesignSection
 
-    asked = BudgetOptions(file=options.file, units=options.units, fields=3, seed=options.seed)
+    asked = BudgetOptions(
+        file=options.file, units=options.units, fields=3, seed=options.seed, focal_ratio=options.focal_ratio
+    )
     with waiting(quiet=True) as shown:
-        found, _ = budget_report(asked, instrument, shown)
-    return DesignSection("Error budget", (), list(found.values()))
+        found, beyond = budget_report(asked, instrument, shown)
+    found |= _outside(asked, instrument)
+    blind, last = found["moves"][0], found["moves"][-1]
+    title = (
+        f"Error budget: {blind['rms_um']:.2f} um rms blind, {last['rms_um']:.2f} after "
+        f"{last['corrections']} corrections, {beyond:.1%} beyond {instrument.operation.requirement_um:g} um"
+    )
+    captions = [BUDGET_TABLES[name] for name in found]
+    return DesignSection(title, (), list(found.values()), captions=captions)
+
+
+BUDGET_TABLES = {
+    "terms": "Terms, um rms: by formula, and alone on the twin.",
+    "moves": "All together: by formula, and on the twin with the standard error over its units.",
+    "halved": "What to improve first: each cause halved, and per cent of the error by per cent of the cause.",
+    "attitudes": "Gravity at attitudes of the telescope (--errors all), um rms: blind, and after a turn of "
+    "the rotator by 30 deg from image to exposure.",
+    "nights": "Growth in nights that are warmer than the calibration (--errors all), um.",
+    "tilts": "Tilted axes and fibres: by formula, and by arms turned in three dimensions.",
+}
+"""Captions."""
+TURN_DEG = 30.0
+"""Of the rotator, from image to exposure, for the table of attitudes."""
+
+
+def _outside(asked: BudgetOptions, instrument: Instrument) -> dict[str, Any]:
+    """Attitudes and nights, with the errors that move arms and plate, whatever the budget itself has."""
+    from dataclasses import replace
+
+    from fiberloom.cli.design.budget import rounded, settings_of
+    from fiberloom.design.budget.conditions import attitudes, nights
+    from fiberloom.instruments import generate
+    from fiberloom.twin import draw_units
+
+    settings = settings_of(replace(asked, errors="all", turn=TURN_DEG), instrument)
+    plane = generate(instrument, asked.seed, n_positioners=asked.units)
+    units = draw_units(plane, asked.seed, errors=settings.errors.at_calibration())
+    return {
+        "attitudes": rounded(attitudes(plane, units, settings, asked.fields)),
+        "nights": rounded(nights(plane, units, settings, asked.fields)),
+    }
 
 
 def _power(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
@@ -185,7 +252,12 @@ def _power(options: ReportOptions, instrument: Instrument, folder: Path) -> Desi
 
     found = array_power(instrument, seed=options.seed)
     axes = [axis_row(one) for one in (found.alpha, found.beta)]
-    return DesignSection("Power", (), [axes, [array_row(found)]])
+    title = (
+        f"Power: {found.peak_W:.3g} W and {found.peak_A:.2g} A with {found.n} at once, {found.move_J:.3g} J "
+        "for a reconfiguration"
+    )
+    captions = ["One positioner, over its whole ranges.", "The array; the heat of a positioner is assumed."]
+    return DesignSection(title, (), [axes, [array_row(found)]], captions=captions)
 
 
 def _throughput(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection | None:
@@ -196,4 +268,8 @@ def _throughput(options: ReportOptions, instrument: Instrument, folder: Path) ->
         return None
     asked = ThroughputOptions(file=options.file, core=options.core, scale=options.scale)
     rows, told = throughput_tables(asked, instrument)
-    return DesignSection("Throughput", (), [rows, [told]])
+    title = (
+        f"Throughput: {told['best_for_light']} corrections pay for their time, "
+        f"the requirement of {told['needed_for_99_percent_within']}"
+    )
+    return DesignSection(title, (), [rows, [told]], captions=["Point source in Moffat seeing of 1 arcsec."])

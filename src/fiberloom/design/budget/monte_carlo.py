@@ -44,6 +44,8 @@ class Simulated:
 
     rms_um: Floats
     """(k + 1,) of the blind move and after each correction."""
+    rms_error_um: Floats
+    """(k + 1,) standard error of that, over the units: fields of the same units are not independent."""
     p95_um: Floats
     """(k + 1,) 95 % of them are within."""
 
@@ -76,8 +78,12 @@ def simulate(
     square = np.empty((fields, settings.corrections + 1, plane.n))
     for field in range(fields):
         square[field] = _field(twin, maps, camera, noises, settings, rng)
+    rms_um = np.sqrt(square.mean(axis=(0, 2)))
+    of_unit = square.mean(axis=0)
     return Simulated(
-        rms_um=np.sqrt(square.mean(axis=(0, 2))), p95_um=np.sqrt(np.quantile(square, 0.95, axis=(0, 2)))
+        rms_um=rms_um,
+        rms_error_um=of_unit.std(axis=1, ddof=1) / np.sqrt(plane.n) / (2.0 * rms_um),
+        p95_um=np.sqrt(np.quantile(square, 0.95, axis=(0, 2))),
     )
 
 
