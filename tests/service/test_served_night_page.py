@@ -2,40 +2,19 @@
 
 import numpy as np
 import pytest
-from served import PATIENCE_S, idle, listening, served, served_night, wait_for
+from served import PATIENCE_S, idle, listening, served_three_fields, wait_for
 from test_served_page import bound, browser, visitor  # noqa: F401  # the browser is a fixture
 
 from fiberloom.service.stamps import Stamps
 from fiberloom.store import Store
 from fiberloom.store.nights.book import NightBook
 
-QUEUE = """
-begin = 2026-11-25T18:00:00Z
-dawn = 2026-11-25T20:00:00Z
-require = 1.0
-[[field]]
-id = "a"
-targets = "targets/t.csv"
-exposure_s = 60
-exposures = 2
-[[field]]
-id = "b"
-targets = "targets/t.csv"
-exposure_s = 20
-[[field]]
-id = "left"
-targets = "targets/t.csv"
-exposure_s = 20
-"""
-
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory, browser):  # noqa: F811
     folder = tmp_path_factory.mktemp("night")
-    (folder / "q.toml").write_text(QUEUE)
     with (
-        served(folder, speed=20.0, faults="dark=1") as array,
-        served_night(array, folder / "q.toml") as night,
+        served_three_fields(folder, long_s=60, short_s=20) as (array, night),
         listening(array, folder, bound(), night=night) as url,
         visitor(browser, url) as page,
     ):
@@ -76,7 +55,7 @@ def test_a_night_is_begun_changed_and_seen_to_its_end(page):
         last = {v.field: v for v in book.visits()}
         for name in ("a", "b"):
             told = row(page, name).locator("td").all_text_contents()
-            assert told[1:3] == ["done", f"{last[name].on_target}/{last[name].assigned}"]
+            assert told[1:3] == ["failed", f"{last[name].on_target}/{last[name].assigned}"]
             assert float(told[3]) == pytest.approx(last[name].rms_um, abs=0.006)
         assert [(c.author, c.command) for c in book.commands()] == [
             ("local", "pause"),
