@@ -282,7 +282,7 @@ class NightRunner:
         observer = Observer(
             setup.known.plane,
             setup.known,
-            Place(setup.out, NUMBERED),
+            Place(setup.out, NUMBERED, setup.database),
             setup.command_line,
             setup.source.about() | {"night": self.book.id, "visit": visit},
             watcher,
