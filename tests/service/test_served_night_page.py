@@ -5,6 +5,7 @@ import pytest
 from served import PATIENCE_S, idle, listening, served_three_fields, wait_for
 from test_served_page import bound, browser, visitor  # noqa: F401  # the browser is a fixture
 
+from fiberloom.service.last_image import KeptImage
 from fiberloom.service.stamps import Stamps
 from fiberloom.store import Store
 from fiberloom.store.nights.book import NightBook
@@ -84,7 +85,8 @@ def test_an_alarm_of_the_night_is_on_top_and_is_acknowledged(page):
 def test_a_positioner_shows_its_nights_and_the_cut_out_of_the_last_image(page):
     number, n = page.array.field.plane.positioner_id[0], len(page.array.field.plane)
     spot = np.full((n, 2), 16.0)
-    page.array.live._stamps = Stamps(np.eye(33)[None].repeat(n, 0), np.zeros((n, 2)), spot, Scaled(), 0.0)
+    stamps = Stamps(np.eye(33)[None].repeat(n, 0), np.zeros((n, 2)), spot, Scaled(), 0.0)
+    page.array.live.restore(KeptImage(stamps, np.full((n, 2), np.nan), 1.8e9))
     page.fill("#search", str(number))
     page.press("#search", "Enter")
     image = page.locator("#positioner img.cutout")
@@ -92,5 +94,6 @@ def test_a_positioner_shows_its_nights_and_the_cut_out_of_the_last_image(page):
     wait_for(lambda: image.evaluate("i => i.naturalWidth") > 0)
     assert image.evaluate("i => [i.naturalWidth, i.naturalHeight]") == [264, 264]
     words = page.locator("#positioner").text_content()
+    assert "last image, 2027-01-15 08:00:00 UTC" in words
     assert "nights" in words
     assert "1 a" in words or "2 a" in words or "b" in words
