@@ -38,6 +38,7 @@ from fiberloom.operation.session.session import KnownArray
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook
+from fiberloom.store.nights.records import VisitRecord
 from fiberloom.targets import random_targets, write_targets
 
 from .killed import images_of
@@ -56,15 +57,23 @@ MOST_S, MOST_GROWTH_MB = 90.0, 50.0
 
 
 class Look(NamedTuple):
-    """This process as the shutter of a visit opens."""
+    """This process as a visit begins: what the one before has left."""
 
     share: float
     """Of the night."""
     memory_MB: float
     """Resident."""
+    opened_MB: float
+    """Resident as the last shutter opened, right after positioning."""
     descriptors: int
     contacts: int
     """Of arms so far, in the truth of the twin."""
+
+
+def resident_MB() -> float:
+    """Memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return round(pages * resource.getpagesize() / 1e6, 1)
 
 
 @dataclass
@@ -73,13 +82,16 @@ class Watch:
 
     begun_s: float = field(default_factory=time.monotonic)
     looks: list[Look] = field(default_factory=list)
+    opened_MB: float = math.nan
+
+    def opens(self) -> None:
+        """Notes the memory as a shutter opens."""
+        self.opened_MB = resident_MB()
 
     def look(self, share: float, contacts: int) -> None:
         """Notes them at this `share` of the night, and how many `contacts` there were."""
-        words = Path("/proc/self/statm").read_text().split()
-        resident_MB = int(words[1]) * resource.getpagesize() / 1e6
         descriptors = len(list(Path("/proc/self/fd").iterdir()))
-        self.looks.append(Look(round(share, 4), round(resident_MB, 1), descriptors, contacts))
+        self.looks.append(Look(round(share, 4), resident_MB(), self.opened_MB, descriptors, contacts))
 
     def told(self) -> dict[str, Any]:
         """Growth from a quarter of the night, and from its half, to its end; of the medians of eighths."""
@@ -92,6 +104,7 @@ class Watch:
             "memory_growth_of_second_half_MB": round(memory_MB[2] - memory_MB[1], 1),
             "descriptors": [median(one.descriptors for one in part) for part in parts],
             "contacts": self.looks[-1].contacts,
+            "memory_as_a_shutter_opened_MB": max(one.opened_MB for one in self.looks if one.opened_MB > 0),
             "looks": len(self.looks),
             "wall_s": round(time.monotonic() - self.begun_s),
             "cpu_s": round(time.process_time()),
@@ -119,7 +132,7 @@ def write_queue(folder: Path, plane: fl.FocalPlane, asked: argparse.Namespace) -
     """The fields, each with a list of its own; with hours they come again, under other names, until dawn."""
     number = math.ceil(3600.0 * asked.hours / asked.exposure) or asked.fields
     dawn = BEGIN + timedelta(hours=asked.hours or 24)
-    lines = [f"begin = {BEGIN:%Y-%m-%dT%H:%M:%SZ}", f"dawn = {dawn:%Y-%m-%dT%H:%M:%SZ}", "attempts = 20"]
+    lines = [f"begin = {BEGIN:%Y-%m-%dT%H:%M:%SZ}", f"dawn = {dawn:%Y-%m-%dT%H:%M:%SZ}", "attempts = 3"]
     for k in range(asked.fields):
         write_targets(random_targets(plane, 8 * len(plane), asked.seed + k), folder / f"f{k}.csv")
     for k in range(number):
@@ -156,6 +169,8 @@ def carried(folder: Path, asked: argparse.Namespace, watch: Watch) -> tuple[Nigh
 
     def progress(text: str) -> None:
         if found and text.startswith("expose"):
+            watch.opens()
+        elif found and text.startswith(("field ", "park")):
             share = (found[0].clock.now() - BEGIN).total_seconds() / night_s(asked)
             truth = found[0].hardware.truth
             watch.look(share, truth.contacts())
@@ -167,19 +182,28 @@ def carried(folder: Path, asked: argparse.Namespace, watch: Watch) -> tuple[Nigh
 
 def by_visit(book: NightBook) -> list[dict[str, Any]]:
     """From the record: of each visit what its fibres came to, and how long that took after the shutter."""
-    visits, stages = book.visits(), book.stages()
-    gap_s = shutter_to_ready_s(visits, stages, book.exposures())
-    rows = []
+    visits, exposures = book.visits(), book.exposures()
+    gap_s = shutter_to_ready_s(visits, book.stages(), exposures)
+    exposed = {e.visit_id for e in exposures if e.utc_end is not None}
+    rows, closed = [], []
     for v in visits:
+        closed.append(v)  # with the visits before it that were not exposed
         row: dict[str, Any] = {"visit": v.id, "field": v.field, "state": v.state, "plan": v.plan_from}
         row |= {"on_target": v.on_target, "assigned": v.assigned, "rms_um": v.rms_um}
-        if v.id in gap_s and v.run_id is not None:
-            images = images_of(book.store, v.run_id)
-            machine_s = sum(s.wall_s for s in stages if s.visit_id == v.id and s.name in NOT_HIDDEN)
-            row |= {"bus_s": gap_s[v.id], "images": images, "not_hidden_machine_s": machine_s}
-            row["shutter_to_ready_s"] = gap_s[v.id] + IMAGE_S * images + machine_s
+        if v.id in gap_s:
+            row |= _gap(book, gap_s[v.id], closed)
         rows.append({k: round(x, 2) if isinstance(x, float) else x for k, x in row.items()})
+        closed = [] if v.id in exposed else closed
     return rows
+
+
+def _gap(book: NightBook, bus_s: float, visits: list[VisitRecord]) -> dict[str, float]:
+    """What the shutter has waited for in these visits: s of the bus, images, s of this machine."""
+    mine = {v.id for v in visits}
+    images = sum(images_of(book.store, v.run_id) for v in visits if v.run_id is not None)
+    machine_s = sum(s.wall_s for s in book.stages() if s.visit_id in mine and s.name in NOT_HIDDEN)
+    whole_s = bus_s + IMAGE_S * images + machine_s
+    return dict(zip((*GAP, "shutter_to_ready_s"), (bus_s, images, machine_s, whole_s), strict=True))
 
 
 def figures(book: NightBook, end: NightEnd) -> dict[str, Any]:

@@ -30,6 +30,11 @@ def ahead(wanted, plan):
     return PlannedAhead(plan, wanted.here_deg, wanted.goal_deg)
 
 
+def dead(wanted, row):
+    """The layout with one that gives no answer, at its goal."""
+    return replace(wanted.obstacles, offline=np.arange(7) == row, offline_position_deg=wanted.goal_deg)
+
+
 def asked(drive, made, wanted):
     return asyncio.run(made.programme(drive, wanted))
 
@@ -52,6 +57,7 @@ def test_it_begins_where_positioners_truly_are(parts):
     [
         (lambda w: {"here_deg": w.here_deg + np.eye(7)[:, [2, 3]] * 0.2}, "is 0.20 deg from where it was"),
         (lambda w: {"goal_deg": w.goal_deg + np.eye(7)[:, [2, 3]]}, "has another goal"),
+        (lambda w: {"obstacles": dead(w, 3)}, "cannot be moved any more"),
         (lambda w: {"obstacles": w.obstacles.with_collision_buffer(1.7)}, "the collision buffer is another"),
     ],
 )

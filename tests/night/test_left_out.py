@@ -58,3 +58,25 @@ def test_who_has_collided_twice_stays_where_it_is_when_the_night_is_resumed(tmp_
         assert np.nanmedian(rows["error_um"][last]) < 10.0  # the others are on their targets
     assert len(stood) >= 3
     assert np.ptp(stood) < 0.5
+
+
+def test_who_was_dead_twice_in_a_row_stays_where_it_is_and_the_others_are_corrected(tmp_path):
+    number = int(Night(tmp_path, FIELDS).plane.positioner_id[3])
+    night = Night(tmp_path, FIELDS, faults=f"mute=#{number}@90")  # from the second visit on
+    assert night.run().status == "finished"
+    alarms = {(a.code, a.subject): a.count for a in night.book.alarms()}
+    assert alarms["dead", f"positioner {number}"] == 2
+    assert alarms["left out", f"positioner {number}"] == 1
+    visits = night.book.visits()
+    assert [v.state for v in visits] == 6 * ["done"]
+    dead = [v for v in visits if is_dead(night, v, number)]
+    assert len(dead) == 2
+    for visit in visits[visits.index(dead[-1]) + 1 :]:  # it is no part of what is planned any more
+        assert visit.assigned <= 6
+        assert visit.on_target == visit.assigned
+
+
+def is_dead(night, visit, number):
+    """Whether a visit has told that a positioner is dead."""
+    events = night.store.events(visit.run_id)
+    return ((events["positioner_id"] == number) & (events["kind"] == "dead")).any()

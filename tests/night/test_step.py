@@ -90,6 +90,37 @@ def test_what_fails_again_and_again_is_given_up():
     assert next_step(interrupted, queue(A, attempts=1), at(60)) == Position("a", 0, 0)
 
 
+SHORT = "34 of 499 fibres are within the requirement"
+
+
+def test_a_place_with_too_few_fibres_on_target_is_made_again_later_and_at_last_exposed_but_not_done():
+    ready = Visited("a", 0, 0, VisitState.READY, short=SHORT)
+    plan = queue(A, B, attempts=2)
+    closed = Close(VisitState.FAILED, f"{SHORT}: not exposed; made again later")
+    assert next_step(NightState((ready,)), plan, at(60)) == closed
+    failed = replace(ready, state=VisitState.FAILED)
+    assert next_step(NightState((failed,)), plan, at(60)) == Position("b", 0, 0)
+    other = Visited("b", 0, 0, VisitState.DONE, exposed=1)
+    assert next_step(NightState((failed, other)), plan, at(900)) == Position("a", 0, 0)
+    assert next_step(NightState((failed, other, ready)), plan, at(960)) == Expose(1)
+    exposed = NightState((failed, other, replace(ready, exposed=1)))
+    step = next_step(exposed, plan, at(1600))
+    assert step == Close(VisitState.FAILED, f"{SHORT}: exposed, and not counted as done")
+    over = exposed.with_last(replace(exposed.visits[-1], state=step.state))
+    told = f"0 of 1 places done; exposed, and not counted: {SHORT}"
+    assert field_states(over, plan, at(1600))["a"] == (VisitState.FAILED, told)
+    assert next_step(over, plan, at(1600)) == Park("the queue is done")
+
+
+def test_what_had_enough_fibres_counts_beside_what_had_not():
+    two, good = entry("a", exposures=2), Visited("a", 0, 0, VisitState.INTERRUPTED, exposed=1)
+    short = Visited("a", 0, 0, VisitState.READY, short=SHORT)
+    assert next_step(NightState((good, short)), queue(two, attempts=1), at(900)) == Expose(2)
+    after = NightState((good, replace(short, exposed=1)))
+    assert isinstance(next_step(after, queue(two, attempts=1), at(1600)), Close)
+    assert after.exposed(good.part) == 1
+
+
 def test_a_field_that_is_taken_out_while_its_shutter_is_closed():
     ready = NightState((Visited("gone", 0, 0, VisitState.READY),))
     assert next_step(ready, queue(A), at(60)) == Close(VisitState.FAILED, "taken out of the queue")
@@ -149,13 +180,16 @@ class Simulated:
         entry = self.plan.entry(step.field)
         assert self.now <= self.plan.last_begin(entry)
         assert entry.not_before is None or self.now >= entry.not_before
-        visit = Visited(step.field, step.repeat, step.dither, next(self.fates, VisitState.READY))
+        fate = next(self.fates, VisitState.READY)
+        state, short = (VisitState.READY, SHORT) if fate == SHORT else (fate, "")
+        visit = Visited(step.field, step.repeat, step.dither, state, short=short)
         self.state = NightState((*self.state.visits, visit), parked=False)
         self.now += timedelta(seconds=80)
 
     def expose(self, step):
         visit, entry = self.state.underway, self.plan.entry(self.state.underway.field)
-        self.exposed.append((*visit.part, step.number))
+        if not visit.short:
+            self.exposed.append((*visit.part, step.number))
         self.now += timedelta(seconds=entry.exposure_s)
         assert self.now <= min(self.plan.dawn, entry.not_after or self.plan.dawn)
         self._last(exposed=visit.exposed + 1, state=VisitState.EXPOSING)
@@ -174,7 +208,9 @@ class Simulated:
         self.state = replace(self.state, parked=True)
 
 
-fates = st.lists(st.sampled_from([VisitState.READY, VisitState.FAILED, VisitState.INTERRUPTED]), max_size=20)
+fates = st.lists(
+    st.sampled_from([VisitState.READY, VisitState.FAILED, VisitState.INTERRUPTED, SHORT]), max_size=20
+)
 
 
 @settings(max_examples=150)
@@ -184,6 +220,11 @@ def test_every_night_ends_parked_and_exposes_nothing_twice(plan, fates):
     night.go()
     assert len(set(night.exposed)) == len(night.exposed)
     assert night.state.parked or not night.state.visits
+    states = field_states(night.state, plan, night.now)
+    for name in {visit.field for visit in night.state.visits if visit.short and visit.exposed}:
+        mine = [v for v in night.state.visits if v.field == name and not v.short]
+        enough = sum(v.exposed for v in mine) >= len(plan.entry(name).parts) * plan.entry(name).exposures
+        assert states[name][0] is not VisitState.DONE or enough
     for name, repeat, dither, number in night.exposed:
         assert number <= plan.entry(name).exposures
         assert (repeat, dither) in plan.entry(name).parts

@@ -27,6 +27,26 @@ HOST, PORT = "127.0.0.1", 8080
 OURS = {"X-Fiberloom": "1", "Origin": f"http://{HOST}:{PORT}"}
 STREAM = f"ws://{HOST}:{PORT}/api/v1/stream"
 ANN = Author("ann", "engineer")
+THREE_FIELDS = """
+begin = 2026-11-25T18:00:00Z
+dawn = 2026-11-25T20:00:00Z
+require = 1.0
+attempts = 1
+[[field]]
+id = "a"
+targets = "targets/t.csv"
+exposure_s = {long_s}
+exposures = 2
+[[field]]
+id = "b"
+targets = "targets/t.csv"
+exposure_s = {short_s}
+[[field]]
+id = "left"
+targets = "targets/t.csv"
+exposure_s = {short_s}
+"""
+"""A queue of an array with one dark fibre: each field is exposed once, with an alarm, and is not done."""
 PATIENCE_S = 60.0
 """What comes by itself may take so long on a machine with other work."""
 
@@ -65,6 +85,17 @@ def served_night(array, queue_file):
         array.stop_own(ANN)
         idle(array)
         night.close()
+
+
+@contextlib.contextmanager
+def served_three_fields(folder, long_s, short_s):
+    """An array with one dark fibre and its night, which waits to be begun."""
+    (folder / "q.toml").write_text(THREE_FIELDS.format(long_s=long_s, short_s=short_s))
+    with (
+        served(folder, speed=20.0, faults="dark=1") as array,
+        served_night(array, folder / "q.toml") as night,
+    ):
+        yield array, night
 
 
 def idle(array):

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fiberloom.night.setup import NightSetup
     from fiberloom.store import Store
     from fiberloom.store.nights.book import NightBook
+    from fiberloom.store.place import Place
 
 TWIN = "twin:"
 
@@ -52,6 +53,20 @@ class NightOptions(JsonOptions):
         typer.Option(help="Of the supply for all motors, W, in place of the queue's; plans keep it."),
     ] = None
     out: Annotated[Path, typer.Option(help="Folder of store, runs and reports.")] = Path("runs")
+    database: Annotated[
+        str, typer.Option(help="URL of the store, e.g. postgresql+psycopg://...; default: a file in --out.")
+    ] = ""
+
+    @property
+    def place(self) -> Place:
+        """Where the night is kept. InputError where the database is no URL."""
+        from fiberloom.store.place import NUMBERED, Place
+
+        if self.database and "://" not in self.database:
+            raise InputError(
+                f"--database: '{self.database}' is no URL; for a file in a folder give --out alone"
+            )
+        return Place(self.out, NUMBERED, self.database)
 
 
 def night(options: NightOptions) -> int:
@@ -60,6 +75,7 @@ def night(options: NightOptions) -> int:
     Exit code 1 where the night ended because a person is needed, or a field failed.
     """
     require_file(options.queue, "write one as examples/night.toml")
+    place = options.place
     left_out = excluded(options.exclude)
     from fiberloom.night.queue import read_queue
     from fiberloom.report.folder import prepare_folder
@@ -68,9 +84,8 @@ def night(options: NightOptions) -> int:
     prepare_folder(options.out)
     from fiberloom.blocking import finish
     from fiberloom.store import Store
-    from fiberloom.store.place import STORE
 
-    with Store.open(options.out / STORE) as store, waiting(options.as_json) as watcher:
+    with Store.open(place.record) as store, waiting(options.as_json) as watcher:
         field = _field(options, queue.array)
         field.watcher, field.exclude = watcher, left_out
         setup = _setup(options, field, queue.array, store)
@@ -130,6 +145,7 @@ def _setup(options: NightOptions, field: Field, array: QueueArray, store: Store)
         array.seed,
         field.exclude,
         virtual=inside,
+        database=options.database,
     )
 
 

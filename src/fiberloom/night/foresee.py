@@ -79,17 +79,13 @@ def _after(
         assert last is not None
         entry = queue.entry(last.field)
         assert entry is not None
-        return _with_last(state, replace(last, exposed=last.exposed + 1)), entry.exposure_s
+        return state.with_last(replace(last, exposed=last.exposed + 1)), entry.exposure_s
     if isinstance(step, Close):
         assert last is not None
-        return _with_last(state, replace(last, state=step.state)), 0.0
+        return state.with_last(replace(last, state=step.state)), 0.0
     if isinstance(step, Wait):
         return state, max((step.until - now).total_seconds(), 1.0)
     return state, takes.field_s if isinstance(step, Park) else 0.0
-
-
-def _with_last(state: NightState, visit: Visited) -> NightState:
-    return NightState((*state.visits[:-1], visit), state.parked)
 
 
 def _told(step: Step, state: NightState, begin: datetime, end: datetime) -> Foreseen:

@@ -131,7 +131,7 @@ class Queue(_Table):
     stage_timeout_s: Seconds = 900.0
     """Of positioning; an exposure has its own duration and a minute."""
     require: Annotated[float, Field(ge=0.0, le=1.0)] = 0.9
-    """Share of the assigned fibres within the requirement, below which an alarm is raised."""
+    """Share of the assigned fibres within the requirement, below which a place is made again, or not done."""
     site: QueueSite | None = None
     array: QueueArray = QueueArray()
     fields: tuple[FieldEntry, ...] = Field(alias="field", min_length=1)

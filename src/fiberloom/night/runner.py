@@ -21,7 +21,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock
-from fiberloom.night.on_record import last_time, state_of
+from fiberloom.night.on_record import last_time, shortfall, state_of
 from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import FieldEntry
 from fiberloom.night.setup import Assigned, NightSetup
@@ -177,7 +177,7 @@ class NightRunner:
         self.book.clear_alarm(self.clock.now(), "queue", str(self.setup.queue_file))
 
     def _state(self) -> NightState:
-        return state_of(self.book, self.parked)
+        return state_of(self.book, self.queue.require, self.parked)
 
     def _note_fields(self, state: NightState) -> None:
         known = {field.name: (field.entry, field.state, field.reason) for field in self.book.fields()}
@@ -213,10 +213,11 @@ class NightRunner:
 
     def _settle_visit(self, visit: VisitRecord) -> None:
         entry, state = self.queue.entry(visit.field), self._state()
-        whole = (
-            entry is not None and state.exposed((visit.field, visit.repeat, visit.dither)) >= entry.exposures
+        (known,) = (
+            v for v, record in zip(state.visits, self.book.visits(), strict=True) if record.id == visit.id
         )
-        over = VisitState.DONE if whole else VisitState.INTERRUPTED
+        whole = entry is not None and state.made(known) >= entry.exposures
+        over = (VisitState.FAILED if known.short else VisitState.DONE) if whole else VisitState.INTERRUPTED
         self.book.change_visit(visit.id, state=over.value, utc_end=self.clock.now(), note="interrupted")
 
     # positioning
@@ -281,7 +282,7 @@ class NightRunner:
         observer = Observer(
             setup.known.plane,
             setup.known,
-            Place(setup.out, NUMBERED),
+            Place(setup.out, NUMBERED, setup.database),
             setup.command_line,
             setup.source.about() | {"night": self.book.id, "visit": visit},
             watcher,
@@ -338,9 +339,8 @@ class NightRunner:
             self._alarm(
                 "cut short", Severity.MINOR, f"visit {visit}", "not all positioners are at their goals"
             )
-        if figures["on_target"] < self.queue.require * figures["assigned"]:
-            text = f"{figures['on_target']} of {figures['assigned']} fibres are within the requirement"
-            self._alarm("on target", Severity.MINOR, f"field {step.field}", text)
+        if short := shortfall(figures["on_target"], figures["assigned"], self.queue.require):
+            self._alarm("on target", Severity.MINOR, f"field {step.field}", short)
         self._alarms_of(seen.about["run"])
 
     def _alarms_of(self, run: int) -> None:
@@ -356,8 +356,15 @@ class NightRunner:
     async def _failed(self, visit: int, step: Position, why: str) -> None:
         await beside(self._over, visit, VisitState.FAILED, why)
         await beside(self._alarm, "visit", Severity.MAJOR, f"field {step.field}", why)
+        await beside(self._alarms_of_visit, visit)
         await beside(self.held.leave, ArrayStep.LOSE, why)
         await self._settled()
+
+    def _alarms_of_visit(self, visit: int) -> None:
+        """What a visit that has failed has told until then."""
+        run = next(v.run_id for v in self.book.visits() if v.id == visit)
+        if run is not None:
+            self._alarms_of(run)
 
     def _over(self, visit: int, state: VisitState, note: str) -> None:
         self.book.change_visit(visit, state=state.value, utc_end=self.clock.now(), note=note)
@@ -458,7 +465,7 @@ class NightRunner:
         self.held.lock.forbidden = "the shutter is open"
         end = self.clock.now() + timedelta(seconds=entry.exposure_s)
         await self.shutter.start(key, entry.exposure_s)
-        planning = asyncio.create_task(self._while_open(visit, entry, end))
+        planning = asyncio.create_task(self._while_open(end))
         try:
             await self._until_closed(key, exposure, entry.exposure_s)
             self.held.lock.forbidden = ""
@@ -487,20 +494,20 @@ class NightRunner:
     def _note_exposure(self, exposure: int, what: str, when: datetime) -> None:
         self.book.change_exposure(exposure, **{what: when})
 
-    async def _while_open(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
+    async def _while_open(self, end: datetime) -> Ahead | None:
         """What is made ahead; then the memory that positioning and planning have left is given back."""
         try:
-            return await self._plan_ahead(visit, entry, end)
+            return await self._plan_ahead(end)
         finally:
             await beside(give_back)
 
-    async def _plan_ahead(self, visit: VisitRecord, entry: FieldEntry, end: datetime) -> Ahead | None:
+    async def _plan_ahead(self, end: datetime) -> Ahead | None:
         """Assigns and plans what comes after this exposure, which will `end` then; nothing moves."""
-        state = (await beside(self._state)).visits
-        exposed = replace(state[-1], exposed=state[-1].exposed + 1)
-        done = NightState((*state[:-1], exposed)).exposed(exposed.part) >= entry.exposures
-        after = replace(exposed, state=VisitState.DONE) if done else exposed
-        step = next_step(NightState((*state[:-1], after)), self.queue, end)
+        state = await beside(self._state)
+        exposed = replace(state.visits[-1], exposed=state.visits[-1].exposed + 1)
+        step = next_step(state.with_last(exposed), self.queue, end)
+        if isinstance(step, Close):
+            step = next_step(state.with_last(replace(exposed, state=step.state)), self.queue, end)
         if not isinstance(step, Position):
             return None
         wanted = self.queue.entry(step.field)
@@ -529,9 +536,11 @@ class NightRunner:
     # the rest
 
     def _close(self, step: Close) -> None:
-        visit = self.book.visits()[-1]
+        visit, short = self.book.visits()[-1], self._state().visits[-1].short
         self._over(visit.id, step.state, step.why)
-        if step.why and step.state is not VisitState.INTERRUPTED:
+        if (
+            step.why and step.state is not VisitState.INTERRUPTED and not short
+        ):  # that was told as it was seen
             self._alarm("visit", Severity.MINOR, f"field {visit.field}", step.why)
 
     async def _wait(self, step: Wait) -> None:

@@ -72,6 +72,8 @@ class NightSetup:
     out: Path
     """Folder of store, runs and nights."""
     command_line: str
+    database: str = field(default="", kw_only=True)
+    """URL of the store; empty: it is a file in the folder."""
     seed: int = 0
     exclude: tuple[int, ...] = ()
     virtual: bool = False

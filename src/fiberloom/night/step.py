@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from typing import TypeAlias
@@ -53,6 +53,8 @@ class Visited(FieldPart):
     state: VisitState
     exposed: int = 0
     """Exposures of it that have ended."""
+    short: str = ""
+    """How many fibres were on target, where that is fewer than the queue requires; empty: enough."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,20 @@ class NightState:
         return last if last is not None and last.state in ON_TARGET else None
 
     def exposed(self, part: tuple[str, int, int]) -> int:
-        """Exposures of a place that have ended, of all its visits."""
-        return sum(visit.exposed for visit in self.visits if visit.part == part)
+        """Exposures of a place that have ended, of all its visits with enough fibres on target."""
+        return sum(visit.exposed for visit in self.visits if visit.part == part and not visit.short)
+
+    def made(self, visit: Visited) -> int:
+        """Exposures that a visit has no need to make, also where its own ones do not count."""
+        return self.exposed(visit.part) + (visit.exposed if visit.short else 0)
+
+    def fell_short(self, part: tuple[str, int, int]) -> int:
+        """How many visits of a place had too few fibres on target."""
+        return sum(visit.part == part and bool(visit.short) for visit in self.visits)
+
+    def with_last(self, visit: Visited) -> NightState:
+        """With another one in the place of the last visit."""
+        return replace(self, visits=(*self.visits[:-1], visit))
 
     def failed(self, part: tuple[str, int, int]) -> int:
         """How often a place has failed; an interruption is no failure."""
@@ -147,14 +161,15 @@ def next_step(state: NightState, queue: Queue, now: datetime) -> Step:
     -------
     Step
         The same for the same arguments. Of the fields that may be begun now the one of the highest priority;
-        among equals the one that was begun, then the one whose time is over first, then the queue's order.
+        among equals first those whose place has not had too few fibres on target, then the one that was
+        begun, then the one whose time is over first, then the queue's order.
     """
     if state.underway is not None:
         return _of_visit(state, state.underway, queue, now)
     open_parts = list(_open_parts(state, queue))
     ready = [(entry, part) for entry, part in open_parts if _may_begin(entry, queue, now)]
     if ready:
-        entry, (repeat, dither) = min(ready, key=lambda one: _rank(one[0], state, queue))
+        entry, (repeat, dither) = min(ready, key=lambda one: _rank(one[0], one[1], state, queue))
         return Position(entry.id, repeat, dither)
     later = [when for entry, _ in open_parts if (when := _next_look(entry, queue, now)) is not None]
     if later:
@@ -165,9 +180,12 @@ def next_step(state: NightState, queue: Queue, now: datetime) -> Step:
 
 
 def _of_visit(state: NightState, visit: Visited, queue: Queue, now: datetime) -> Step:
-    entry, done = queue.entry(visit.field), state.exposed(visit.part)
+    entry, done = queue.entry(visit.field), state.made(visit)
     if entry is None:
         return Close(VisitState.DONE if done else VisitState.FAILED, "taken out of the queue")
+    again = state.failed(visit.part) + 1 < queue.attempts
+    if visit.short and (again or done >= entry.exposures):
+        return Close(VisitState.FAILED, _of_short(visit, again))
     if done >= entry.exposures:
         return Close(VisitState.DONE, "")
     if entry.skip:
@@ -176,6 +194,12 @@ def _of_visit(state: NightState, visit: Visited, queue: Queue, now: datetime) ->
     if now + timedelta(seconds=entry.exposure_s) > end:
         return Close(VisitState.FAILED, f"{done} of {entry.exposures} exposures before its time was over")
     return Expose(done + 1)
+
+
+def _of_short(visit: Visited, again: bool) -> str:
+    """What became of a visit with too few fibres on target: the last one that is tried is exposed."""
+    became = "exposed, and not counted as done" if visit.exposed else "not exposed"
+    return f"{visit.short}: {became}{'; made again later' if again else ''}"
 
 
 def _open_parts(state: NightState, queue: Queue) -> Iterator[tuple[FieldEntry, tuple[int, int]]]:
@@ -203,9 +227,13 @@ def _next_look(entry: FieldEntry, queue: Queue, now: datetime) -> datetime | Non
     return again if again <= queue.last_begin(entry) else None
 
 
-def _rank(entry: FieldEntry, state: NightState, queue: Queue) -> tuple[float, bool, datetime, int]:
-    begun = bool(state.visits) and state.visits[-1].field == entry.id
-    return -entry.priority, not begun, queue.last_begin(entry), queue.fields.index(entry)
+def _rank(
+    entry: FieldEntry, part: tuple[int, int], state: NightState, queue: Queue
+) -> tuple[float, int, bool, datetime, int]:
+    last = state.visits[-1] if state.visits else None
+    begun = last is not None and last.field == entry.id and not last.short
+    short = state.fell_short((entry.id, *part))
+    return -entry.priority, short, not begun, queue.last_begin(entry), queue.fields.index(entry)
 
 
 def as_asked(step: Step, state: NightState, paused_by: str, parked_by: str) -> Step:
@@ -237,7 +265,11 @@ def _field_state(entry: FieldEntry, state: NightState, queue: Queue, now: dateti
     if entry.skip:
         return VisitState.SKIPPED, f"{entry.skip}; {done} of {len(parts)} places done"
     if any(state.failed(part) >= queue.attempts for part in parts):
-        return VisitState.FAILED, f"{done} of {len(parts)} places done"
+        light = [
+            visit.short for visit in state.visits if visit.part in parts and visit.short and visit.exposed
+        ]
+        told = f"; exposed, and not counted: {light[-1]}" if light else ""
+        return VisitState.FAILED, f"{done} of {len(parts)} places done{told}"
     if _next_look(entry, queue, now) is None:
         return VisitState.SKIPPED, f"its time is over; {done} of {len(parts)} places done"
     return VisitState.QUEUED, ""

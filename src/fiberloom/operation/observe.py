@@ -215,7 +215,7 @@ class Observer:
         if hardware.telescope is not None:
             hardware.telescope.point((settings.pointing or OVERHEAD).image)
         async with (
-            entered(Store.open, self.place.store) as store,
+            entered(Store.open, self.place.record) as store,
             entered(self._run, store, kept, settings.seed) as run,
         ):
             self.folder = await beside(_folder_of, run, self.place, store)

@@ -31,6 +31,7 @@ from fiberloom.service.alarms.board import CAMERA, AlarmBoard
 from fiberloom.service.cutout import cutout_png
 from fiberloom.service.health import HealthFollower
 from fiberloom.service.hub import Hub
+from fiberloom.service.last_image import LastImage
 from fiberloom.service.live import Live
 from fiberloom.store.arrays import ArrayBook, ArrayState
 from fiberloom.store.place import NUMBERED, Place
@@ -104,6 +105,8 @@ class ServedArray:
         self.sender: Callable[[Alarm], None] = lambda _: None
         self.reached = True
         """The last command has reached the positioners, or none was given yet."""
+        self.last_image = LastImage(folder, arrayed.plane.config_hash())
+        self.live.keep = self.last_image.later
         arrayed.book, arrayed.witness, arrayed.watcher = book, self.live, self.live
         arrayed.keep = self._keep
         self._lock = threading.Lock()
@@ -131,6 +134,8 @@ class ServedArray:
             self.live.place(known)
         elif self.bus.startswith(TWIN):  # a twin of this process is folded at first
             self.live.place(self.field.plane.park_deg)
+        if (image := self.last_image.read()) is not None:
+            self.live.restore(image)
         self._thread.start()
         if calibrate:
             self._begin("calibrate", Author("service", "engineer"), {}, self._calibrate)
@@ -145,6 +150,7 @@ class ServedArray:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(REST_S)
         self._loop.close()
+        self.last_image.close()
 
     # what is asked
 
@@ -247,7 +253,7 @@ class ServedArray:
             with Store.read(self.place.store) as store:
                 found = positioner_history(store, positioner_id)
         mine = [e for e in self.book.exclusions(past=True) if e.positioner_id == positioner_id]
-        known = self.book.places(np.array([positioner_id]))
+        known, image_utc = self.book.places(np.array([positioner_id])), self.live.cutout_utc
         return {
             "positioner_id": positioner_id,
             "health": self.health.of(positioner_id),
@@ -255,7 +261,7 @@ class ServedArray:
             **found,
             "nights": nights_of(found["measurements"]),
             "exclusions": [_exclusion_row(e) for e in mine],
-            "image": self.live.cutout(0) is not None,
+            "image": None if image_utc is None else datetime.fromtimestamp(image_utc, UTC).isoformat(),
         }
 
     def cutout(self, positioner_id: int) -> bytes:

@@ -24,6 +24,7 @@ from fiberloom.metrology.pipeline import Reduction
 from fiberloom.operation.move import Goals, Move
 from fiberloom.operation.session.witness import BegunMove
 from fiberloom.planning import Plan
+from fiberloom.service.last_image import KeptImage
 from fiberloom.service.stamps import Stamps
 from fiberloom.typing import Array, Flags, Floats
 from fiberloom.units import UM_PER_MM
@@ -139,7 +140,9 @@ class Live:
         self._goals: Goals | None = None
         self._underway: _Underway | None = None
         self._plan: SampledPlan | None = None
-        self._stamps: Stamps | None = None
+        self._image: KeptImage | None = None
+        self.keep: Callable[[KeptImage], None] = lambda _: None
+        """Told of every image."""
         self._stages: deque[LiveStage] = deque(maxlen=_MOST_STAGES)
         self._changed = 1
         self.heard = False
@@ -223,9 +226,15 @@ class Live:
 
     def image(self, reduction: Reduction) -> None:
         """What is kept of an image: cut-outs around the fibres."""
-        stamps = Stamps.of(reduction)
+        image = KeptImage(Stamps.of(reduction), self._metrology_goals_mm(), time.time())
         with self._lock:
-            self._stamps = stamps
+            self._image = image
+        self.keep(image)
+
+    def restore(self, image: KeptImage) -> None:
+        """Shows the last image of a process before this one."""
+        with self._lock:
+            self._image, self.image_utc = image, image.utc
 
     def rests(self, angles_deg: Floats) -> None:
         """Where all are now, as the store has it; `angles_deg` (N, 2), NaN: not known."""
@@ -318,16 +327,25 @@ class Live:
         return self._plan
 
     def cutout(self, row: int) -> tuple[Stamps, Floats] | None:
-        """Cut-outs of the last image, and where the metrology fibre in `row` is to be in it, (2,) mm, NaN
+        """Cut-outs of the last image, and where the metrology fibre in `row` was to be in it, (2,) mm, NaN
         without a target; None before the first image."""
         with self._lock:
-            stamps, goals = self._stamps, self._goals
-        if stamps is None:
-            return None
-        if goals is None or not goals.has_target[row]:
-            return stamps, np.full(2, np.nan)
-        alpha_deg, beta_deg = goals.angles_deg[[row]].T
-        return stamps, np.asarray(self.plane.forward(alpha_deg, beta_deg, METROLOGY, np.array([row]))[0])
+            image = self._image
+        return None if image is None else (image.stamps, image.goal_mm[row])
+
+    @property
+    def cutout_utc(self) -> float | None:
+        """When the image of the cut-outs was taken, s since 1970; None before the first one."""
+        with self._lock:
+            return None if self._image is None else self._image.utc
+
+    def _metrology_goals_mm(self) -> Floats:
+        """(N, 2) where the metrology fibres are to be by the goals of the move; NaN: without a target."""
+        goals = self._goals
+        if goals is None:
+            return np.full((len(self.plane), 2), np.nan)
+        place_mm = self.plane.forward(goals.angles_deg[:, 0], goals.angles_deg[:, 1], METROLOGY)
+        return np.where(goals.has_target[:, None], place_mm, np.nan)
 
     def plan_about(self) -> dict[str, Any]:
         """Number, label and duration of the last plan."""

@@ -18,11 +18,13 @@ NUMBERED = "{run:04d}"
 
 @dataclass(frozen=True)
 class Place:
-    """A folder with a store, and where below it the files of a run are."""
+    """A folder, where below it the files of a run are, and the store: a file in it, or a database."""
 
     base: Path
     pattern: str = BESIDE
     """Folder of the files, from `base`; `{run}` is the number of the run."""
+    database: str = ""
+    """URL of the store; empty: it is the file in the folder."""
 
     @classmethod
     def of(cls, out: str | Path | Place | None) -> Place:
@@ -33,8 +35,13 @@ class Place:
 
     @property
     def store(self) -> Path:
-        """File of the store."""
+        """File of the store, where that is one."""
         return self.base / STORE
+
+    @property
+    def record(self) -> str:
+        """The store, as `Store.open` takes it."""
+        return self.database or str(self.store)
 
     @property
     def numbered(self) -> bool:

@@ -58,6 +58,9 @@ class PlannedAhead:
         row = int(off_deg.argmax())
         if off_deg[row] > NEAR_DEG:
             return f"positioner {ids[row]} is {off_deg[row]:.2f} deg from where it was expected"
+        dead = wanted.obstacles.offline & [robot.moves for robot in self.plan.robots]
+        if dead.any():  # also one that stands at its goal already: the plan takes up its backlash
+            return f"positioner {ids[dead][0]} cannot be moved any more"
         # one that does not follow any more has its own place for its goal
         other = np.abs(wanted.goal_deg - self.goal_deg).max(axis=1) > NEAR_DEG
         return f"positioner {ids[other][0]} has another goal" if other.any() else ""

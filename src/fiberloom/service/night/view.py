@@ -12,7 +12,7 @@ from fiberloom.night.overhead import learned_s
 from fiberloom.night.queue import Queue
 from fiberloom.night.runner import NightRunner
 from fiberloom.night.stages import Lap
-from fiberloom.night.step import NightState, Visited, VisitState, field_states
+from fiberloom.night.step import NightState, VisitState, field_states
 from fiberloom.store.nights.book import NightBook
 from fiberloom.store.nights.records import VisitRecord
 from fiberloom.store.service.alarms import Alarm, Severity
@@ -44,7 +44,7 @@ def night_view(runner: NightRunner, queue: Queue, rate: float, goes_on: bool) ->
         "rate": rate,
         "bars": _bars(book, visits, runner.stages.under_way if goes_on else None),
         "next": [_foreseen(step) for step in _ahead(book, queue, now)] if goes_on else [],
-        "fields": _fields(queue, visits, field_states(state_of(book), queue, now)),
+        "fields": _fields(queue, visits, field_states(state_of(book, queue.require), queue, now)),
         "alarms": [alarm.as_dict() for alarm in open_alarms(book)],
         "commands": [c.as_dict() for c in book.commands()[-12:][::-1]],
     }
@@ -105,7 +105,7 @@ def _measured(visit: VisitRecord | None) -> dict[str, Any]:
 
 def _ahead(book: NightBook, queue: Queue, now: datetime) -> list[Foreseen]:
     takes = _overheads(book, queue)
-    state, now = _when_free(book, now, takes)
+    state, now = _when_free(book, queue, now, takes)
     return foresee(state, queue, now, takes)
 
 
@@ -115,24 +115,20 @@ def _overheads(book: NightBook, queue: Queue) -> Overheads:
     return Overheads(field_s, field_s if dither_s is None else dither_s)
 
 
-def _when_free(book: NightBook, now: datetime, takes: Overheads) -> tuple[NightState, datetime]:
+def _when_free(book: NightBook, queue: Queue, now: datetime, takes: Overheads) -> tuple[NightState, datetime]:
     """As it will be when what is under way has gone well."""
-    state = state_of(book)
+    state = state_of(book, queue.require)
     if not state.visits:
         return state, now
     last, record = state.visits[-1], book.visits()[-1]
     if last.state in (VisitState.PREPARED, VisitState.POSITIONING):
         ready = record.utc_start + timedelta(seconds=takes.field_s)
-        return _with_last(state, replace(last, state=VisitState.READY)), max(ready, now)
+        return state.with_last(replace(last, state=VisitState.READY)), max(ready, now)
     shut = [e for e in book.exposures() if e.visit_id == record.id and e.utc_start and e.utc_end is None]
     if last.state is VisitState.EXPOSING and shut:
         end = (shut[-1].utc_start or now) + timedelta(seconds=shut[-1].asked_s)
-        return _with_last(state, replace(last, exposed=last.exposed + 1)), max(end, now)
+        return state.with_last(replace(last, exposed=last.exposed + 1)), max(end, now)
     return state, now
-
-
-def _with_last(state: NightState, visit: Visited) -> NightState:
-    return NightState((*state.visits[:-1], visit))
 
 
 def _foreseen(step: Foreseen) -> dict[str, Any]:

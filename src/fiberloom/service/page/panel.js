@@ -62,7 +62,7 @@ export function showPositioner(place, known, live, buttons) {
     const image = element("img", "", "cutout");
     image.alt = `the last image around the fibre of positioner ${known.positioner_id}`;
     image.src = `/api/v1/positioners/${known.positioner_id}/image?${live.seen}`;
-    parts.push(element("figure", "", "", image, element("figcaption", "last image: cross, centroid as measured; ring, its goal", "quiet")));
+    parts.push(element("figure", "", "", image, element("figcaption", `last image, ${known.image.slice(0, 19).replace("T", " ")} UTC: cross, centroid as measured; ring, its goal`, "quiet")));
   }
   if (nights.some((n) => n.night !== null)) {
     parts.push(element("h2", "nights"));
