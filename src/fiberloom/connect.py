@@ -14,13 +14,21 @@ from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.source import FPGA, OpenedArray, OpenedCobras, OpenedDesi, Source
+from fiberloom.operation.source import (
+    FPGA,
+    MOONS_GATEWAYS,
+    OpenedArray,
+    OpenedCobras,
+    OpenedDesi,
+    OpenedMoons,
+    Source,
+)
 
 if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
-ON_TWIN_ONLY = ("lamost", "megara", "moons")
+ON_TWIN_ONLY = ("lamost", "megara")
 """Protocols without a connection outside of this process."""
 
 
@@ -41,8 +49,8 @@ def open_hardware(
         The layout of the array.
     bus : str or Transport
         `twin:`, `cannet://HOST[:PORT][,HOST...]`, `socketcan:can0[,can1]`, `slcan:/dev/ttyUSB0`, or any
-        `INTERFACE:CHANNEL` of python-can; `fpga://HOST[:PORT]` for the boards of PFS; or an open transport,
-        which stays open.
+        `INTERFACE:CHANNEL` of python-can; `fpga://HOST[:PORT]` for the boards of PFS,
+        `gateways://HOST[:PORT]` for MOONS; or an open transport, which stays open.
     camera : str or Camera
         `twin:image` or `twin:noise` with the bus `twin:`; else `alpaca://HOST:PORT/N?exposure=S`,
         `folder:PATH?trigger=CMD`, `indi://HOST:PORT/NAME`, `aravis:NAME`; or an object with
@@ -73,10 +81,15 @@ def open_hardware(
     if plane.instrument.drive.protocol in ON_TWIN_ONLY:
         name = plane.instrument.name
         raise InputError(f"--bus {bus}: {name} is driven on the twin only so far; leave --bus out")
+    gateways = isinstance(bus, str) and bus.startswith(MOONS_GATEWAYS)
+    if plane.instrument.drive.protocol == "moons" and not gateways:
+        raise InputError(f"--bus {bus}: units of MOONS are behind gateways://HOST[:PORT], the first of three")
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
     if isinstance(bus, str) and bus.startswith(FPGA):
         return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
+    if isinstance(bus, str) and bus.startswith(MOONS_GATEWAYS):
+        return OpenedMoons(plane, bus.removeprefix(MOONS_GATEWAYS), seen, address)
     found = OpenedArray.of(bus, seen, address)
     if plane.instrument.drive.protocol == "desi":
         return OpenedDesi(plane, found.bus, found.camera, address)

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
 
 import typer
 
@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from fiberloom.twin.server.address import Address
     from fiberloom.twin.server.camera.process import CameraProcess
     from fiberloom.twin.server.server import TwinServer
+    from fiberloom.twin.steppers.moons import MoonsBus
+    from fiberloom.twin.steppers.served import GatewayServer
 
-    Served: TypeAlias = TwinServer | DesiServer | ServedCobras
+    Served: TypeAlias = TwinServer | DesiServer | ServedCobras | GatewayServer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +119,7 @@ def twin(options: TwinOptions) -> None:
 
     plane = options.plane()
     protocol = plane.instrument.drive.protocol
-    other: dict[str, Callable[..., Served]] = {"desi": _desi_server, "pfs": _cobras}
+    other: dict[str, Callable[..., Served]] = {"desi": _desi_server, "pfs": _cobras, "moons": _gateways}
     serve = other.get(protocol)
     count = 1 if serve else options.devices or device_count(len(plane))
     addresses = addresses_of(options.listen, count)
@@ -133,6 +135,8 @@ def twin(options: TwinOptions) -> None:
     greeting = _greeting(len(plane), addresses)
     if protocol == "pfs":
         greeting = f"{len(plane)} cobras: fpga://{addresses[0]}; Ctrl-C ends"
+    if protocol == "moons":
+        greeting = f"{len(plane)} units: gateways://{addresses[0]}, three ports in a row; Ctrl-C ends"
     report = asyncio.run(_serve(server, camera, options, greeting))
     if options.as_json:
         options.print_json(report)
@@ -203,6 +207,21 @@ def _cobras(options: TwinOptions, plane: Any, address: Address) -> ServedCobras:
     if options.write_maps is not None:
         write_summary_maps(options.write_maps, source.known_maps, plane.positioner_id)
     return ServedCobras(source.array, address, options.speed)
+
+
+def _gateways(options: TwinOptions, plane: Any, address: Address) -> GatewayServer:
+    """MOONS: three gateways in front of all units."""
+    from fiberloom.twin.faults.clock import FaultClock
+    from fiberloom.twin.steppers.kinds import KINDS
+    from fiberloom.twin.steppers.served import GatewayServer
+    from fiberloom.twin.steppers.source import StepperSource
+
+    _refuse_sdssv_options(options)
+    source = StepperSource(
+        plane, KINDS["moons"], options.seed, "noise", options.faults, options.errors or "none"
+    )
+    faults = FaultClock(source.bus, source.schedule, options.seed)
+    return GatewayServer(cast("MoonsBus", source.bus), address, faults, options.speed)
 
 
 def _camera(options: TwinOptions, plane: Any, server: Served) -> CameraProcess:

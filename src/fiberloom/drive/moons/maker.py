@@ -29,6 +29,11 @@ class WaveformMaker:
 
     trial_steps: int
 
+    @classmethod
+    def of(cls, instrument: Instrument, trial_deg: float) -> WaveformMaker:
+        """For an `instrument`, whose units are tried by `trial_deg` of alpha."""
+        return cls(round(trial_deg / instrument.alpha.smallest_step_deg))
+
     def legs(
         self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits
     ) -> tuple[list[Leg], dict[int, str]]:

@@ -26,7 +26,7 @@ KINDS = {
     "moons": ArrayKind(
         bus=MoonsBus,
         link=lambda bus, faults: MoonsLink(VirtualGateways(bus, faults)),
-        maker=lambda instrument: WaveformMaker(round(TRIAL_DEG / instrument.alpha.smallest_step_deg)),
+        maker=lambda instrument: WaveformMaker.of(instrument, TRIAL_DEG),
         bench=BenchSettings(knots=73, sweeps=3),
         gateway_of=lambda number: UnitPlace.of(number).gateway,
     ),
