@@ -26,12 +26,21 @@ struct Source {
     double half_width, half_height;
 };
 
+// x^-n, by multiplication where n is a small whole number.
+double inverse_power(double x, double n) {
+    constexpr double most = 8;
+    if (n > most || n != std::floor(n)) return std::pow(x, -n);
+    double power = x;
+    for (int k = 1; k < static_cast<int>(n); ++k) power *= x;
+    return 1 / power;
+}
+
 double density(PsfKind kind, double q, double parameter) {
     switch (kind) {
     case PsfKind::Gaussian:
         return std::exp(-0.5 * q);
     case PsfKind::Moffat:
-        return std::pow(1 + q, -parameter);
+        return inverse_power(1 + q, parameter);
     case PsfKind::Disc:
         break;
     }
