@@ -5,7 +5,7 @@ import pytest
 from benchmarks.planning import pairs
 from benchmarks.planning.campaign import Array, pocketed
 
-from fiberloom.planning import PlanSettings, bound_s, plan
+from fiberloom.planning import PlanSettings, bound_s, plan, verify
 
 
 def array_at(buffer_mm: float) -> Array:
@@ -33,6 +33,23 @@ def test_beside_one_in_a_pocket_as_many_arrive_as_can(seed, buffer_mm, kept_away
     proven = pocketed(array.bodies, list(made.refused), ends_deg, buffer_mm)
     assert set(proven) == refused
     assert "not beside all that arrive" in proven[kept_away]
+
+
+# Beside 325 565, in a pocket, can make way if both approach otherwise. 677 and 1353, 1056 and 1149 pass each
+# other in a joint search that looks farther than the first one.
+@pytest.mark.parametrize(
+    ("seed", "buffer_mm", "around", "within_mm", "refused"),
+    [(927, 2.0, 325, 60.0, {565}), (473, 2.5, 677, 40.0, set()), (742, 2.0, 1056, np.inf, set())],
+)
+def test_knots_that_were_given_up_once(seed, buffer_mm, around, within_mm, refused):
+    array = array_at(buffer_mm)
+    centre = array.bodies.centre
+    near = np.flatnonzero(np.abs(centre - centre[array.bodies.row_of(around)]) < within_mm)
+    start_deg, goal_deg = (end[near] for end in array.ends_of(seed))
+    plane, settings = array.plane.select(near), PlanSettings(collision_buffer_mm=buffer_mm)
+    made = plan(plane, start_deg, goal_deg, seed=seed, settings=settings)
+    assert set(made.refused) == refused
+    assert verify(plane, made, start_deg=start_deg, goal_deg=goal_deg).ok
 
 
 def test_what_holds_the_slowest_plan_up():

@@ -15,6 +15,9 @@ constexpr double degree = std::numbers::pi / 180.0;
 constexpr double free_steps = 1.0; // of the grid, around start and goal, in which nothing is kept in hand
 constexpr int finest = 4;          // grids up to four times finer are tried where a body cannot be passed
 
+// Of one in a pocket that makes way with other approaches: places, and positioners that change theirs.
+constexpr int most_places_tried = 40, most_that_make_way = 4;
+
 int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -1; }
 
 } // namespace
@@ -312,6 +315,32 @@ bool GoalFeasibility::make_room(PositionerIndex i) {
     return true;
 }
 
+// One in a pocket, where it touches no goal of another though its approach, or theirs, touches: with other
+// approaches of all of them. Of places that it can come to, the nearest are tried.
+bool GoalFeasibility::make_way(PositionerIndex i) {
+    int tried = 0;
+    for (const Angles place : reachable_places(i)) {
+        if (tried == most_places_tried) break;
+        const Legs rest(body(i), place);
+        const bool clear = std::all_of(near(i).begin(), near(i).end(), [&](PositionerIndex j) {
+            return away(j) || stay_apart(rest, Legs(body(j), goals_[j].angles), need_mm_);
+        });
+        if (!clear || !inside_travel(i, place, lowest(i)) || blocked(i, Legs(body(i), place, lowest(i))).any)
+            continue;
+        ++tried;
+        set_goal(i, place, usual(i));
+        goals_[i].gone = goals_[i].still = false;
+        List<PositionerIndex> group{i};
+        for (const PositionerIndex j : blockers(i, goals_[i].legs, {})) group.push_back(j);
+        if (group.size() <= most_that_make_way && rearrange(group)) {
+            goals_[i].settled = true;
+            return true;
+        }
+        goals_[i].gone = true;
+    }
+    return false;
+}
+
 // Gives up a goal; another place that cannot be held is replaced in the same way.
 bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &by) {
     refuse(i, why, by);
@@ -321,7 +350,7 @@ bool GoalFeasibility::move_away(PositionerIndex i, Refusal why, const Blocked &b
         if (try_place(i, place, false)) return true;
     for (const Angles place : reachable_places(i))
         if (try_place(i, place, false)) return true;
-    if (make_room(i)) return true;
+    if (make_way(i) || make_room(i)) return true;
     freeze(i);
     return false;
 }

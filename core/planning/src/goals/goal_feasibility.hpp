@@ -113,6 +113,7 @@ class GoalFeasibility {
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
     List<Angles> reachable_places(PositionerIndex i);
+    bool make_way(PositionerIndex i);
     bool make_room(PositionerIndex i);
 
     // approaches.cpp

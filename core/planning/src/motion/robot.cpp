@@ -117,9 +117,9 @@ bool Robot::clear_move(Cell here, Cell next) {
     return clear(here, {{0, a}, {0, b}}) && clear(next, {{-a, 0}, {-b, 0}});
 }
 
-Robot::Flood Robot::flood(std::optional<Cell> until) {
-    Flood out{{start()}, List<int>(cells(), -1)};
-    out.steps[index(start())] = 0;
+Robot::Flood Robot::flood(Cell from, std::optional<Cell> until) {
+    Flood out{{from}, List<int>(cells(), -1)};
+    out.steps[index(from)] = 0;
     for (int k = 0; k < out.cells.size(); ++k) {
         const Cell here = out.cells[k];
         if (here == until) break;
@@ -146,12 +146,21 @@ bool Robot::straight_is_clear() {
 int Robot::steps_alone() {
     if (obstacles_.empty()) return travel_steps();
     if (!clear(start(), {}) || !clear(goal(), {})) return -1;
-    return straight_is_clear() ? travel_steps() : flood(goal()).steps[index(goal())];
+    return straight_is_clear() ? travel_steps() : flood(start(), goal()).steps[index(goal())];
 }
+
+const List<int> &Robot::steps_from(Cell end, List<int> &known) {
+    if (known.empty()) known = flood(end, {}).steps;
+    return known;
+}
+
+const List<int> &Robot::steps_from_goal() { return steps_from(goal(), from_goal_); }
+
+const List<int> &Robot::steps_from_start() { return steps_from(start(), from_start_); }
 
 List<Cell> Robot::reachable() {
     if (!clear(start(), {})) return {};
-    return flood({}).cells;
+    return flood(start(), {}).cells;
 }
 
 } // namespace fl::planning

@@ -95,6 +95,9 @@ class Robot {
     bool clear(const SweptArm &swept) const;
     // Steps to the goal past the bodies at rest, with a stop at each cell; -1 if there is no path.
     int steps_alone();
+    // The same between each cell, by its index, and the goal, or the start; found once.
+    const List<int> &steps_from_goal();
+    const List<int> &steps_from_start();
     // Cells that it can come to past the bodies at rest, the nearest first.
     List<Cell> reachable();
 
@@ -106,7 +109,8 @@ class Robot {
     bool clear_move(Cell here, Cell next);
     bool straight_is_clear();
     // With a stop at each cell; it ends at one cell, if that is given.
-    Flood flood(std::optional<Cell> until);
+    Flood flood(Cell from, std::optional<Cell> until);
+    const List<int> &steps_from(Cell end, List<int> &known);
     struct Obstacle {
         SweptArm swept; // the same at every moment
         double need_mm = 0.0;
@@ -125,7 +129,8 @@ class Robot {
     double in_hand_mm_ = 0.0, free_rad_ = 0.0;
     List<SweptArm> legs_;
     List<Obstacle> obstacles_;
-    List<Clearance> clearances_; // per cell, once looked at
+    List<Clearance> clearances_;       // per cell, once looked at
+    List<int> from_start_, from_goal_; // steps, once asked for
 };
 
 } // namespace fl::planning

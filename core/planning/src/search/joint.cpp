@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <utility>
 
 namespace fl::planning {
 namespace {
@@ -24,11 +25,17 @@ int JointSearch::to_go(int which, Cell c) const {
     return steps_between(c, ask_.backward ? robot.start() : robot.goal());
 }
 
+// Past the bodies at rest; where that is not known, as if there were none.
+int JointSearch::to_go_past(int which, Cell c) const {
+    const int steps = (*past_bodies_[which])[ask_.robots[which]->index(c)];
+    return steps < 0 ? to_go(which, c) : steps;
+}
+
 // Steps that all still need, and a little for those that are nearer: they shall come along.
 int JointSearch::estimate(const Cells &cells) const {
     int longest = 0, sum = 0;
     for (int k = 0; k < count(); ++k) {
-        const int go = to_go(k, cells.of[k]);
+        const int go = to_go_past(k, cells.of[k]);
         longest = std::max(longest, go);
         sum += go;
     }
@@ -92,17 +99,17 @@ std::uint64_t JointSearch::key(const Cells &cells) const {
     return k;
 }
 
-// The place of these cells in the table: its node, or the free place where it belongs.
-JointSearch::NodeId &JointSearch::slot(const Cells &cells) {
-    const std::uint64_t k = key(cells);
-    std::size_t at = (k * 0x9e3779b97f4a7c15u >> 20) & (table_.size() - 1);
-    while (table_[at] != NodeId() && key(nodes_[table_[at]].cells) != k) at = (at + 1) & (table_.size() - 1);
+// The place of a key in the table: that of its node, or the free one where it belongs.
+JointSearch::Slot &JointSearch::slot(std::uint64_t key) {
+    std::size_t at = (key * 0x9e3779b97f4a7c15u >> 32) & (table_.size() - 1);
+    while (table_[at].node != NodeId() && table_[at].key != key) at = (at + 1) & (table_.size() - 1);
     return table_[at];
 }
 
 void JointSearch::grow_table() {
-    table_.assign(2 * table_.size(), NodeId());
-    for (const NodeId n : nodes_.places()) slot(nodes_[n].cells) = n;
+    const std::vector<Slot> before = std::exchange(table_, std::vector<Slot>(2 * table_.size()));
+    for (const Slot &one : before)
+        if (one.node != NodeId()) slot(one.key) = one;
 }
 
 // The steps to go count as much again as the path so far: greedy, but a long detour does not pay.
@@ -125,15 +132,16 @@ JointSearch::NodeId JointSearch::pop() {
 void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
     Cells cells{};
     for (int k = 0; k < count(); ++k) cells.of[k] = options_[k].next[moves.of[k]];
-    NodeId &place = slot(cells);
-    if (place != NodeId()) {
-        const Node &known = nodes_[place];
+    Slot &place = slot(key(cells));
+    if (place.node != NodeId()) {
+        const Node &known = nodes_[place.node];
         if (known.closed || known.cost <= cost) return;
     }
     const Node reached{cells, moves, from, nodes_[from].step + 1, cost, false};
-    NodeId node = place;
+    NodeId node = place.node;
     if (node == NodeId()) {
-        node = place = NodeId(nodes_.size());
+        node = NodeId(nodes_.size());
+        place = {key(cells), node};
         nodes_.push_back(reached);
         if (2 * static_cast<std::size_t>(nodes_.size()) > table_.size()) grow_table();
     } else {
@@ -177,6 +185,7 @@ void JointSearch::trace(NodeId node) {
         path.assign(ask_.steps + 1, nodes_[node].cells.of[k]);
         int step = nodes_[node].step;
         for (NodeId n = node; n != NodeId(); n = nodes_[n].parent, --step) path[step] = nodes_[n].cells.of[k];
+        std::fill(path.begin(), path.begin() + nodes_[NodeId(0)].step, nodes_[NodeId(0)].cells.of[k]);
         if (ask_.backward) std::reverse(path.begin(), path.end());
     }
 }
@@ -185,10 +194,16 @@ bool JointSearch::run(const JointRequest &request) {
     ask_ = request;
     nodes_.clear();
     queue_.clear();
-    table_.assign(first_table, NodeId());
+    for (int k = 0; k < count(); ++k)
+        past_bodies_[k] =
+            &(ask_.backward ? ask_.robots[k]->steps_from_start() : ask_.robots[k]->steps_from_goal());
+    table_.assign(first_table, Slot());
     const Cells first = ends(true), last = ends(false);
-    nodes_.push_back({first, {{stay, stay, stay}}, NodeId(), 0, 0, false});
-    slot(first) = NodeId(0);
+    // backward, all rest at first until the latest deadline: nodes are of cells alone, and have no waits
+    const int latest = *std::max_element(ask_.deadlines.begin(), ask_.deadlines.end());
+    const int first_step = ask_.backward ? ask_.steps - latest : 0;
+    nodes_.push_back({first, {{stay, stay, stay}}, NodeId(), first_step, 0, false});
+    slot(key(first)) = {key(first), NodeId(0)};
     push(NodeId(0));
     while (!queue_.empty() && nodes_.size() < ask_.most_nodes) {
         const NodeId node = pop();

@@ -30,6 +30,8 @@ class JointSearch {
     bool run(const JointRequest &request);
     const List<Cell> &path(int which) const { return paths_[which]; }
     std::int64_t expansions() const { return expansions_; }
+    // Of the last run.
+    int nodes() const { return nodes_.size(); }
 
   private:
     using NodeId = Index<struct JointNodeKind>;
@@ -60,6 +62,7 @@ class JointSearch {
     int count() const { return ask_.robots.size(); }
     Cells ends(bool first) const;
     int to_go(int which, Cell c) const;
+    int to_go_past(int which, Cell c) const;
     int estimate(const Cells &cells) const;
     int encounters(int which, const SweptArm &step, int when) const;
     void list_options(const Node &from);
@@ -69,7 +72,12 @@ class JointSearch {
     void combine(NodeId from, int which, Moves &moves, int cost);
     void reach(NodeId from, const Moves &moves, int cost);
     std::uint64_t key(const Cells &cells) const;
-    NodeId &slot(const Cells &cells);
+    // A node with its key; no node where it is free.
+    struct Slot {
+        std::uint64_t key = 0;
+        NodeId node;
+    };
+    Slot &slot(std::uint64_t key);
     void grow_table();
     void push(NodeId node);
     NodeId pop();
@@ -78,9 +86,11 @@ class JointSearch {
 
     JointRequest ask_;
     List<Node, NodeId> nodes_;
-    std::vector<NodeId> table_; // open addressing; no node where free
+    std::vector<Slot> table_; // open addressing
     std::vector<std::uint64_t> queue_;
     Options options_[most];
+    // Of each: steps that it still needs from each of its cells, past the bodies at rest.
+    const List<int> *past_bodies_[most] = {};
     // for each two and each of their moves
     Pairing apart_[most][most][9][9];
     List<Cell> paths_[most];

@@ -53,7 +53,8 @@ struct Member {
     BlockedCells blocked;
     List<PathIndex> spared;  // neighbours with which it is never late
     List<PathIndex> in_vain; // for each repair around a conflict of lateness alone: with whom
-    int tries = 0;           // repairs around it since the last one that helped
+    int tries = 0;           // repairs around it since the last one that helped, or since it got more time
+    int joint_in_vain = 0;   // joint searches around it since the last repair that helped
 };
 
 // How a path is sought.

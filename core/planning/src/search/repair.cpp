@@ -12,7 +12,11 @@ constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
 constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
 constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
-constexpr int most_joint_nodes = 8000;
+// Of a joint search of two; twice as many after each one in vain: what it takes is not known before. Of three
+// as many as the second one of two. All of a deadlock together take half a second at most, as do all of those
+// that hurry.
+constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
+constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
 // is not worth the search.
@@ -109,6 +113,7 @@ bool Repair::run(int first_steps, int last_steps) {
     const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * paths_.size());
     last_steps_ = last_steps;
     first_steps_ = first_steps;
+    joint_left_ = most_joint_nodes;
     if (rounds(static_cast<int>(most))) return true;
     // those that meet, and all around them, are on time now
     bool fewer = false;
@@ -259,7 +264,7 @@ int Repair::tries(Pair pair) const {
 
 void Repair::judge(Pair pair, const Group &group, int conflicts_now) {
     if (conflicts_now < group.conflicts) {
-        for (const PathIndex i : group.members) paths_.at(i).tries = 0;
+        for (const PathIndex i : group.members) paths_.at(i).tries = paths_.at(i).joint_in_vain = 0;
         return;
     }
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).tries;
@@ -314,7 +319,7 @@ bool Repair::has_time(Pair pair) const {
 }
 
 void Repair::round(Pair pair) {
-    const bool joint = has_time(pair) && tries(pair) % joint_every == joint_every - 1;
+    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % joint_every == joint_every - 1;
     if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);
@@ -328,10 +333,20 @@ void Repair::round(Pair pair) {
     judge(pair, group, now);
 }
 
+int Repair::joint_in_vain(Pair pair) const {
+    return std::min(paths_.at(pair.first).joint_in_vain, paths_.at(pair.second).joint_in_vain);
+}
+
+// That a joint search looks at, at most.
+int Repair::joint_nodes(const List<PathIndex> &joint) const {
+    if (joint.size() > 2) return 2 * least_joint_nodes;
+    return least_joint_nodes << std::min(joint_in_vain({joint[0], joint[1]}), most_doublings);
+}
+
 // The pair, and now and then a third: three arms can lock each other in a ring.
 List<PathIndex> Repair::choose_joint(Pair pair) {
     List<PathIndex> joint{pair.first, pair.second};
-    if (tries(pair) < 2 * joint_every || random_.chance(40)) return joint;
+    if (joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
     const PathIndex third = near_one_of(pair, 6);
     if (third != pair.first && third != pair.second) joint.push_back(third);
     return joint;
@@ -370,8 +385,10 @@ void Repair::joint_round(Pair pair) {
     const List<PathIndex> joint = choose_joint(pair);
     Group group = choose(pair);
     forget_paths(group.members);
-    const int most_nodes = joint.size() == 2 ? most_joint_nodes : 2 * most_joint_nodes;
+    const int most_nodes = joint_nodes(joint);
+    for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
     const bool found = paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    joint_left_ -= joint_.nodes();
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);
     const List<PathIndex> others = drawn_in(joint, group);
@@ -398,6 +415,7 @@ PathIndex Repair::last_to_arrive() const {
 // costs the others nothing.
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
+    joint_left_ = most_joint_nodes;
     attempts_ = {most_hurries + 4 * paths_.size(), most_hurries, last_attempts};
     List<int, PathIndex> low(paths_.size(), wanted_steps); // what each of them may hope for
     while (may_hurry()) {
@@ -433,7 +451,7 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
     const auto repairs = statistics_.repairs;
     for (const PathIndex i : paths_.places()) {
         paths_.at(i).deadline = std::min(paths_.at(i).deadline, std::max(paths_.arrival(i), deadline));
-        paths_.at(i).tries = 0;
+        paths_.at(i).tries = paths_.at(i).joint_in_vain = 0;
     }
     paths_.shorten();
     const int before = std::exchange(paths_.at(last).deadline, deadline);

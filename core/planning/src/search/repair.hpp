@@ -39,6 +39,8 @@ class Repair {
     bool has_time(Pair pair) const;
     void round(Pair pair);
     void joint_round(Pair pair);
+    int joint_in_vain(Pair pair) const;
+    int joint_nodes(const List<PathIndex> &joint) const;
     List<PathIndex> choose_joint(Pair pair);
     List<PathIndex> drawn_in(const List<PathIndex> &joint, Group &group);
     void set_joint(const List<PathIndex> &joint, Group &group);
@@ -81,6 +83,7 @@ class Repair {
     struct Attempts {
         int all = 0, with_repairs = 0, in_the_end = 0;
     } attempts_;
+    int joint_left_ = 0; // nodes that joint searches may still look at
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
 };
