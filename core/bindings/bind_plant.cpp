@@ -163,15 +163,15 @@ void bind_test_plant(nb::module_ &m) {
 // Truth of the transmission at any output angles: gear angle T- and backlash, both motor rad.
 std::pair<Output<double, -1>, Output<double, -1>>
 evaluate_transmission(const Input1<double> &row, double gear_ratio, const Input1<double> &output_rad) {
-    const Transmission t = transmission_of(row);
-    auto gear = new_array<double, -1>({output_rad.size()});
+    const Gear gear(transmission_of(row));
+    auto gear_rad = new_array<double, -1>({output_rad.size()});
     auto backlash = new_array<double, -1>({output_rad.size()});
     for (size_t i = 0; i < output_rad.size(); ++i) {
-        const Cell cell = cell_of_output(t, gear_ratio, output_rad.data()[i]);
-        gear.data()[i] = gear_of_output(cell, output_rad.data()[i]);
-        backlash.data()[i] = cell.backlash_0_rad + cell.backlash_1 * gear.data()[i];
+        const Cell cell = cell_of_output(gear, gear_ratio, output_rad.data()[i]);
+        gear_rad.data()[i] = gear_of_output(cell, output_rad.data()[i]);
+        backlash.data()[i] = cell.backlash_0_rad + cell.backlash_1 * gear_rad.data()[i];
     }
-    return {gear, backlash};
+    return {gear_rad, backlash};
 }
 
 } // namespace

@@ -104,7 +104,8 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     slipping_.assign(groups_.size(), 0);
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
-        axes_[axis].unit = units[axis];
+        axes_[axis].params = units[axis].params;
+        axes_[axis].gear = Gear(units[axis].transmission);
         group_of(axis).noise_key[place(axis).lane] = noise_key(seed, axis);
         axes_[axis].seat.key = noise_key(~seed, axis);
         configure(axis);
@@ -128,7 +129,7 @@ void Plant::step(size_t group) {
 void Plant::fetch(size_t axis) const {
     constexpr size_t line = 64;
     const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
-    for (size_t at = 0; at < offsetof(Axis, unit); at += line) __builtin_prefetch(begin + at, 1);
+    for (size_t at = 0; at < offsetof(Axis, gear); at += line) __builtin_prefetch(begin + at, 1);
 }
 
 // Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
@@ -137,8 +138,8 @@ void Plant::fetch_gear(size_t axis) const {
     const Axis &a = axes_[axis];
     const int32_t at = a.cell.index & (block_nodes - 1);
     if (at != 0 && at != block_nodes - 3) return;
-    const auto *begin = reinterpret_cast<const char *>(&a.unit.transmission);
-    for (size_t i = 0; i < offsetof(Transmission, wear); i += line) __builtin_prefetch(begin + i);
+    const auto *begin = reinterpret_cast<const char *>(&a.gear.waves);
+    for (size_t i = 0; i < sizeof(Waves); i += line) __builtin_prefetch(begin + i);
 }
 
 double Plant::geared_rad(size_t axis) const {
@@ -218,7 +219,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
-    axes_[axis].unit.params = params;
+    axes_[axis].params = params;
     axes_[axis].block = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
@@ -228,10 +229,10 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     if (const char *fault = transmission_fault(transmission, params(axis).gear_ratio)) refuse(axis, fault);
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
-    axes_[axis].unit.transmission = transmission;
+    axes_[axis].gear = Gear(transmission);
     set(axis, &AxisGroup::still, 0);
     axes_[axis].block = {};
-    axes_[axis].cell = transmission_cell(transmission, params(axis).gear_ratio, axes_[axis].cell.index);
+    axes_[axis].cell = transmission_cell(axes_[axis].gear, params(axis).gear_ratio, axes_[axis].cell.index);
     seek_cell(axis, gear_rad);
     configure_stops(axis);
     if (positive) set(axis, &AxisGroup::theta_rad, gear_rad + backlash_rad(axis));
@@ -242,7 +243,7 @@ void Plant::put(size_t axis, double output_rad) {
     if (!(output_rad >= p.stop_min && output_rad <= p.stop_max))
         refuse(axis, "output angle " + std::to_string(output_rad) + " rad lies beyond the hard stops");
     Axis &a = axes_[axis];
-    a.cell = cell_of_output(a.unit.transmission, p.gear_ratio, output_rad);
+    a.cell = cell_of_output(a.gear, p.gear_ratio, output_rad);
     load_cell(axis);
     set(axis, &AxisGroup::gear_rad, gear_of_output(a.cell, output_rad));
     set(axis, &AxisGroup::theta_rad, lane(axis, &AxisGroup::gear_rad));
@@ -318,7 +319,7 @@ void Plant::configure_stops(size_t axis) {
     const Axis &a = axes_[axis];
     const PlantParams &p = params(axis);
     const auto gear_at = [&](double theta) {
-        return gear_of_output(cell_of_output(a.unit.transmission, p.gear_ratio, theta), theta);
+        return gear_of_output(cell_of_output(a.gear, p.gear_ratio, theta), theta);
     };
     const double series = 1.0 / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
     set(axis, &AxisGroup::stop_lo_rad, gear_at(p.stop_min - a.slip_rad));
@@ -347,7 +348,7 @@ void Plant::load_cell(size_t axis) {
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    a.cell = cell_of_gear(a.unit.transmission, a.unit.params.gear_ratio, gear_rad, a.cell, a.block);
+    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.block);
     load_cell(axis);
 }
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstring>
 #include <numbers>
 #include <utility>
 
@@ -203,9 +202,7 @@ uint32_t Positioner::storage_read(void *ctx, uint32_t offset, void *bytes, uint3
     const auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
-    std::memset(bytes, 0xff, held); // erased flash
-    if (offset < p.storage_.size())
-        std::memcpy(bytes, p.storage_.data() + offset, std::min<size_t>(held, p.storage_.size() - offset));
+    p.storage_.read(offset, static_cast<uint8_t *>(bytes), held);
     return held;
 }
 
@@ -213,8 +210,7 @@ uint32_t Positioner::storage_write(void *ctx, uint32_t offset, const void *bytes
     auto &p = *static_cast<Positioner *>(ctx);
     if (offset >= storage_bytes) return 0;
     const uint32_t held = std::min(len, static_cast<uint32_t>(storage_bytes) - offset);
-    if (p.storage_.size() < offset + held) p.storage_.resize(offset + held, 0xff);
-    std::memcpy(p.storage_.data() + offset, bytes, held);
+    p.storage_.write(offset, static_cast<const uint8_t *>(bytes), held);
     return held;
 }
 

@@ -7,10 +7,9 @@
 
 #include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/twin.hpp"
+#include "flash.hpp"
 
 namespace fl::twin {
-
-inline constexpr size_t storage_bytes = 4096;
 
 struct Sent {
     Reply reply;
@@ -92,7 +91,7 @@ class Positioner {
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
     // Memory of its own, without the firmware's state.
-    size_t bytes() const { return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.capacity(); }
+    size_t bytes() const { return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.bytes(); }
     bool scoped() const { return scope_on_[FL_ALPHA] || scope_on_[FL_BETA]; }
     // A sample of each axis that a scope is on.
     void record(const Plant &plant, uint64_t tick);
@@ -125,8 +124,8 @@ class Positioner {
     int lane_ = 0; // of alpha; beta's is lane_group_size further
     size_t index_ = 0;
     Outbox *outbox_ = nullptr;
-    std::vector<uint8_t> storage_; // as far as it was ever written
-    uint64_t now_ = 0;             // tick of the call into the firmware
+    Flash storage_;
+    uint64_t now_ = 0; // tick of the call into the firmware
     uint32_t *awake_ = nullptr;
     uint64_t asleep_since_ = 0, skipped_ = 0, run_ = 0;
     Plant::Rotor last_rotor_[FL_AXES] = {};

@@ -58,7 +58,7 @@ struct Within {
 };
 const Within within;
 
-FL_CLONES void series(const Transmission &t, int32_t first, Sums &out) {
+FL_CLONES void series(const Waves &t, int32_t first, Sums &out) {
     Sums sums;
     for (size_t i = 0; i < harmonic_count; ++i) {
         const Harmonic &at = circle.at(harmonic_orders[i] * first);
@@ -72,7 +72,7 @@ FL_CLONES void series(const Transmission &t, int32_t first, Sums &out) {
     out = sums;
 }
 
-double wear_at(const std::array<Wear, wear_count> &marks, double theta_rad) {
+double wear_at(const WearMarks &marks, double theta_rad) {
     double sum = 0.0;
     for (const Wear &w : marks) {
         const double off = std::abs(theta_rad - w.centre_rad);
@@ -108,48 +108,49 @@ bool plainly_sound(const Transmission &t, double gear_ratio) {
 
 } // namespace
 
-void NodeBlock::load(const Transmission &t, double gear_ratio, int32_t block) {
+Gear::Gear(const Transmission &t)
+    : waves(t), wear(is_worn(t) ? std::make_shared<const WearMarks>(t.wear) : nullptr) {}
+
+void NodeBlock::load(const Gear &gear, double gear_ratio, int32_t block) {
     const int32_t first = block * block_nodes;
     Sums sums;
-    series(t, first, sums);
-    const bool worn = is_worn(t);
+    series(gear.waves, first, sums);
     for (int32_t k = 0; k < block_nodes; ++k) {
         const double theta = node_step_rad * (first + k);
-        const double delta = sums.delta_rad[k / 4][k % 4] + (worn ? wear_at(t.wear, theta) : 0.0);
+        const double delta = sums.delta_rad[k / 4][k % 4] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
         nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
-                                         t.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
+                                         gear.waves.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
     }
     number = block;
 }
 
-Node transmission_node(const Transmission &t, double gear_ratio, int32_t index) {
+Node transmission_node(const Gear &gear, double gear_ratio, int32_t index) {
     NodeBlock block;
-    return block.at(t, gear_ratio, index);
+    return block.at(gear, gear_ratio, index);
 }
 
-Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index) {
+Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index) {
     NodeBlock block;
-    const Node lo = block.at(t, gear_ratio, index);
-    return between(index, lo, block.at(t, gear_ratio, index + 1));
+    const Node lo = block.at(gear, gear_ratio, index);
+    return between(index, lo, block.at(gear, gear_ratio, index + 1));
 }
 
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near,
-                  NodeBlock &block) {
+Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeBlock &block) {
     int32_t index = near.index;
     Node lo = near.lo, hi = near.hi;
     while (gear_rad >= hi.gear_rad) {
         lo = hi;
-        hi = block.at(t, gear_ratio, ++index + 1);
+        hi = block.at(gear, gear_ratio, ++index + 1);
     }
     while (gear_rad < lo.gear_rad) {
         hi = lo;
-        lo = block.at(t, gear_ratio, --index);
+        lo = block.at(gear, gear_ratio, --index);
     }
     return between(index, lo, hi);
 }
 
-Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad) {
-    return transmission_cell(t, gear_ratio, static_cast<int32_t>(std::floor(output_rad / node_step_rad)));
+Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {
+    return transmission_cell(gear, gear_ratio, static_cast<int32_t>(std::floor(output_rad / node_step_rad)));
 }
 
 double gear_of_output(const Cell &cell, double output_rad) {
@@ -165,10 +166,11 @@ const char *transmission_fault(const Transmission &t, double gear_ratio) {
     // the series repeat every turn, wear does not
     const int32_t first = is_worn(t) ? -2 * nodes_per_turn : 0;
     const int32_t last = is_worn(t) ? 2 * nodes_per_turn : nodes_per_turn;
+    const Gear gear(t);
     NodeBlock block;
-    Node lo = block.at(t, gear_ratio, first);
+    Node lo = block.at(gear, gear_ratio, first);
     for (int32_t i = first + 1; i <= last; ++i) {
-        const Node hi = block.at(t, gear_ratio, i);
+        const Node hi = block.at(gear, gear_ratio, i);
         if (hi.backlash_rad < 0.0) return "backlash is negative somewhere";
         if (!(hi.gear_rad > lo.gear_rad)) return "delta falls faster than the angle rises";
         if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))

@@ -56,7 +56,7 @@ class Plant {
     // Then, once the duties are set, 0.5 ms of physics.
     void step(size_t group);
 
-    // Memory of one axis.
+    // Memory of one axis whose gear has no mark of wear.
     size_t bytes_per_axis() const { return sizeof(Axis) + sizeof(AxisGroup) / lane_count; }
 
     // A lane of a group.
@@ -75,7 +75,7 @@ class Plant {
     // The lanes of a group.
     AxisGroup &group(size_t index) { return groups_[index]; }
     // The true parameters of an axis.
-    const PlantParams &params(size_t axis) const { return axes_[axis].unit.params; }
+    const PlantParams &params(size_t axis) const { return axes_[axis].params; }
     // What tells whether a tick has changed anything.
     struct Rotor {
         double theta_rad = 0.0, momentum_Nms = 0.0, gear_rad = 0.0;
@@ -147,7 +147,8 @@ class Plant {
         Cell cell;
         NodeBlock block;
         Seat seat;
-        Unit unit;
+        Gear gear;
+        PlantParams params;
         AxisFaults faults;
         Bridge bridge;
         double torque_Nm = 0.0;

@@ -11,6 +11,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 
 #include "fiberloom/twin/plant_params.hpp"
 
@@ -35,14 +36,29 @@ struct Wear {
     double centre_rad = 0.0, width_rad = 0.0, height_rad = 0.0;
 };
 
-// The deviations of one gear, Eq. 6 and 7; orders of the series in harmonic_orders.
-struct Transmission {
+// Series of the deviations of one gear, Eq. 6 and 7; orders in harmonic_orders.
+struct Waves {
     std::array<Harmonic, harmonic_count> delta_rad{};    // output angle
     std::array<Harmonic, harmonic_count> backlash_rad{}; // motor angle
     double backlash_mean_rad = 0.0;
-    std::array<Wear, wear_count> wear{};
+};
+
+using WearMarks = std::array<Wear, wear_count>;
+
+// All deviations of one gear.
+struct Transmission : Waves {
+    WearMarks wear{};
 };
 static_assert(sizeof(Transmission) == (4 * harmonic_count + 1 + 3 * wear_count) * sizeof(double));
+
+// The same as it is kept: most gears have no mark.
+struct Gear {
+    Gear() = default;
+    explicit Gear(const Transmission &t);
+
+    Waves waves;
+    std::shared_ptr<const WearMarks> wear; // none: not worn
+};
 
 // Gear angle T- and backlash B at a node, motor rad.
 struct Node {
@@ -68,26 +84,25 @@ struct NodeBlock {
     std::array<Node, block_nodes> nodes;
 
     // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One block is for one gear.
-    const Node &at(const Transmission &t, double gear_ratio, int32_t index) {
-        if (index >> block_shift != number) load(t, gear_ratio, index >> block_shift);
+    const Node &at(const Gear &gear, double gear_ratio, int32_t index) {
+        if (index >> block_shift != number) load(gear, gear_ratio, index >> block_shift);
         return nodes[static_cast<size_t>(index & (block_nodes - 1))];
     }
 
   private:
     static constexpr int block_shift = 3;
     static_assert(1 << block_shift == block_nodes);
-    void load(const Transmission &t, double gear_ratio, int32_t block);
+    void load(const Gear &gear, double gear_ratio, int32_t block);
 };
 
 // One node, and the cell from it to the next.
-Node transmission_node(const Transmission &t, double gear_ratio, int32_t index);
-Cell transmission_cell(const Transmission &t, double gear_ratio, int32_t index);
+Node transmission_node(const Gear &gear, double gear_ratio, int32_t index);
+Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index);
 
 // The cell that holds a gear angle, sought from a cell of the same gear. `block` is of that gear.
-Cell cell_of_gear(const Transmission &t, double gear_ratio, double gear_rad, const Cell &near,
-                  NodeBlock &block);
+Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeBlock &block);
 // The cell that holds an output angle.
-Cell cell_of_output(const Transmission &t, double gear_ratio, double output_rad);
+Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad);
 
 // T-: gear angle of an output angle, without outside torque.
 double gear_of_output(const Cell &cell, double output_rad);
