@@ -17,12 +17,12 @@ const LIGHT = {
 };
 const RED = Object.fromEntries(Object.keys(DARK).map((s) => [s, "#c03a2e"]));
 Object.assign(RED, { on_target: "#ff6a58", off_target: "#ff9a86", collided: "#ffb8a8", lying: "#ff9a86",
-  astray: "#ff9a86", dead: "#ff9a86", excluded: "#702018", offline: "#702018", parked: "#8a2a20" });
+  astray: "#ff9a86", dead: "#ff9a86", excluded: "#a83428", offline: "#a83428", parked: "#b0382c" });
 
 const PAPER = {
-  dark: { back: "#12161c", base: "#2a333f", fixed: "#3d4959", text: "#e4e9f0", target: "#e4e9f0", error: "#f0e442", chosen: "#ffffff", alpha: "#46525f", bar: ["#3d6f94", "#4f8a72"] },
+  dark: { back: "#12161c", base: "#2a333f", fixed: "#3d4959", text: "#e4e9f0", target: "#e4e9f0", error: "#f0e442", chosen: "#ffffff", alpha: "#46525f", bar: ["#38688c", "#37705a"] },
   light: { back: "#f7f8fa", base: "#e2e7ee", fixed: "#b9c3cf", text: "#16202c", target: "#16202c", error: "#8a4b00", chosen: "#000000", alpha: "#aab5c2", bar: ["#8fbfe0", "#9fd3bf"] },
-  red: { back: "#0b0000", base: "#240606", fixed: "#4a1010", text: "#ff5a4a", target: "#ff8a7a", error: "#ffc0b0", chosen: "#ffd8d0", alpha: "#541512", bar: ["#6a1a14", "#8a2a20"] },
+  red: { back: "#0b0000", base: "#240606", fixed: "#4a1010", text: "#ff5a4a", target: "#ff8a7a", error: "#ffc0b0", chosen: "#ffd8d0", alpha: "#541512", bar: ["#4a120e", "#50150f"] },
 };
 
 export function lookOf(theme) {

@@ -235,7 +235,7 @@ function choose(row, show = false) {
   view.stale = true;
   if (row >= 0 && show) view.show(row, true);
   if (row < 0) $("positioner").replaceChildren(element("p", "Click a positioner.", "quiet"));
-  refreshChosen();
+  chosenKnown().then(() => { if (row >= 0) $("positioner").scrollIntoView({ block: "start" }); }).catch(failed);
 }
 
 // --- commands

@@ -15,9 +15,11 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
     const on = alarm.gone === null;
     const row = element("div", "", `alarm ${alarm.severity}`);
     row.dataset.id = `${alarm.night ? "night-" : ""}${alarm.id}`;
-    const subject = element("button", /^\d+$/.test(alarm.subject) ? `positioner ${alarm.subject}` : alarm.subject);
-    subject.onclick = () => choose(Number(alarm.subject));
-    subject.disabled = !/^\d+$/.test(alarm.subject);
+    // of an array the number alone; of a night with the word before it
+    const numbered = /^(?:positioner )?(\d+)$/.exec(alarm.subject);
+    const subject = element("button", numbered ? `positioner ${numbered[1]}` : alarm.subject);
+    subject.onclick = () => choose(Number(numbered[1]));
+    subject.disabled = !numbered;
     const count = alarm.count > 1 ? ` (${alarm.count} times)` : "";
     const what = element("span", "", "what", element("b", `${alarm.severity}: ${alarm.code}`), ` ${alarm.text}${count} `,
       element("span", alarm.advice, "advice"), ` since ${time(alarm.since)} UTC${on ? "" : `, gone since ${time(alarm.gone)}`}`);
@@ -62,7 +64,7 @@ export function showPositioner(place, known, live, buttons) {
     const image = element("img", "", "cutout");
     image.alt = `the last image around the fibre of positioner ${known.positioner_id}`;
     image.src = `/api/v1/positioners/${known.positioner_id}/image?${live.seen}`;
-    parts.push(element("figure", "", "", image, element("figcaption", `last image, ${known.image.slice(0, 19).replace("T", " ")} UTC: cross, centroid as measured; ring, its goal`, "quiet")));
+    parts.push(element("figure", "", "", element("div", "", "lens", image), element("figcaption", `last image, ${known.image.slice(0, 19).replace("T", " ")} UTC: cross, centroid as measured; ring, its goal`, "quiet")));
   }
   if (nights.some((n) => n.night !== null)) {
     parts.push(element("h2", "nights"));
