@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiberloom.design.coverage import array_coverage, broken_plane
-from fiberloom.design.gear import gear_window
+from fiberloom.design.gear import gear_verdict, gear_window
 from fiberloom.design.power import PowerSettings
 from fiberloom.design.sweep import MOST_DESIGNS, ranges_of
 from fiberloom.errors import InputError
@@ -97,6 +97,20 @@ def test_a_gear_outside_its_window_says_what_would_help(fl):
     code, said, _ = fl("design", "gear", "sdssv", "--within", 20)
     assert code == 1
     assert f"alpha: {found}" in said
+
+
+def test_a_piezo_has_no_ratio_to_be_held_against_a_window(fl):
+    pfs = load_instrument("pfs")
+    windows = [gear_window(pfs, axis) for axis in (0, 1)]
+    assert gear_verdict(windows) == "no gear to be held against a window"
+    code, said, _ = fl("design", "gear", "pfs")
+    assert code == 0
+    assert "no gear" in said
+    assert "yes" not in said
+    assert (
+        gear_verdict([gear_window(SDSSV, 0, within_s=20.0), gear_window(SDSSV, 1)])
+        == "alpha outside the window"
+    )
 
 
 def test_numbers_that_are_none_are_refused():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fiberloom.design.lattice import Lattice
@@ -44,14 +45,18 @@ class GearWindow:
 
     needed_rpm: float
     """Of the motor, to make the range in time by this ratio; 0 where no time is asked for."""
+    geared: bool = True
+    """Has the motor a ratio to be held against the window? A piezo turns its arm itself."""
 
     @property
     def fits(self) -> bool:
-        """Is the ratio in the window?"""
-        return self.least <= self.ratio <= self.most
+        """Is the ratio in the window? True without one: `geared`."""
+        return not self.geared or self.least <= self.ratio <= self.most
 
     def advice(self) -> str:
         """What would help, with numbers; or that it fits."""
+        if not self.geared:
+            return "no gear: images correct what the motor makes of a way"
         if self.fits:
             return "fits"
         if self.least > self.most:
@@ -63,6 +68,14 @@ class GearWindow:
         if self.ratio < self.least:
             return f"a gear of {self.least} or more, for {self.requirement_um:g} um"
         return f"a gear of {self.most:.0f} or less, or a motor of {self.needed_rpm:.0f} rpm"
+
+
+def gear_verdict(windows: Sequence[GearWindow]) -> str:
+    """Of both axes, for titles; `windows`: of alpha and beta."""
+    if not any(one.geared for one in windows):
+        return "no gear to be held against a window"
+    outside = [one.axis for one in windows if not one.fits]
+    return f"{' and '.join(outside)} outside the window" if outside else "both ratios are in their windows"
 
 
 def twin_knows(axis: Axis) -> bool:
@@ -138,6 +151,7 @@ def gear_window(
         motor_rpm=used_rpm,
         range_s=move_s(way_deg, own.speed_deg_s, own.acceleration_deg_s2),
         needed_rpm=0.0 if math.isinf(most) else (motor_rpm or used_rpm) * own.gear / most,
+        geared=own.kind != "piezo",
     )
 
 

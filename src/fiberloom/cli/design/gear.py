@@ -71,7 +71,7 @@ def gear_row(one: GearWindow) -> dict[str, Any]:
         "least_ratio": one.least,
         "ratio": one.ratio,
         "most_ratio": round(one.most, 1) if math.isfinite(one.most) else "any",
-        "fits": "yes" if one.fits else "no",
+        "fits": "no gear" if not one.geared else "yes" if one.fits else "no",
         "motor_deg_um": round(one.motor_deg_um, 3),
         "step_um": round(one.step_um, 3),
         "play_um": round(one.play_um, 1),

@@ -167,14 +167,13 @@ def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) ->
 def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
     from fiberloom.cli.design.gear import gear_row
     from fiberloom.design.figures import draw_gear
-    from fiberloom.design.gear import gear_window
+    from fiberloom.design.gear import gear_verdict, gear_window
     from fiberloom.design.page import DesignSection
 
     found = [gear_window(instrument, axis, within_s=options.within) for axis in (0, 1)]
     picture = folder / "gear.png"
     draw_gear(picture, instrument.name, found)
-    outside = " and ".join(one.axis for one in found if not one.fits)
-    title = f"Gear: {outside} outside the window" if outside else "Gear: both ratios are in their windows"
+    title = f"Gear: {gear_verdict(found)}"
     says = [f"{one.axis}: {one.advice()}" for one in found if not one.fits]
     return DesignSection(title, says, [[gear_row(one) for one in found]], picture)
 
