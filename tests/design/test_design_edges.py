@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiberloom.design.coverage import array_coverage, broken_plane
-from fiberloom.design.gear import gear_window
+from fiberloom.design.gear import gear_verdict, gear_window, reconfiguration
 from fiberloom.design.power import PowerSettings
 from fiberloom.design.sweep import MOST_DESIGNS, ranges_of
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.planning import plan, random_pair
 
 SDSSV = load_instrument("sdssv")
 
@@ -97,6 +98,37 @@ def test_a_gear_outside_its_window_says_what_would_help(fl):
     code, said, _ = fl("design", "gear", "sdssv", "--within", 20)
     assert code == 1
     assert f"alpha: {found}" in said
+
+
+def test_a_reconfiguration_takes_what_the_planner_needs(fl):
+    found = reconfiguration(SDSSV, 7, 3, seed=5)
+    plane = generate(SDSSV, 5, n_positioners=7)
+    times = [plan(plane, *random_pair(plane, 5 + k), seed=5).duration_s for k in range(3)]
+    assert found.motion_s == pytest.approx(np.mean(times))
+    assert found.motion_error_s == pytest.approx(np.std(times, ddof=1) / math.sqrt(3))
+    assert 1.0 < found.over_least < 1.2
+    assert found.refused == 0.0
+    code, said, _ = fl("design", "gear", "sdssv", "--planned", 7, "--fields", 3, "--seed", 5, "--json")
+    told = json.loads(said)["reconfiguration"]
+    assert code == 0
+    assert told["reconfiguration_s"] == round(found.motion_s, 2)
+    code, _, err = fl("design", "gear", "moons", "--planned", 7)
+    assert code == 2
+    assert "moons: alpha does not follow trajectories" in err
+
+
+def test_a_piezo_has_no_ratio_to_be_held_against_a_window(fl):
+    pfs = load_instrument("pfs")
+    windows = [gear_window(pfs, axis) for axis in (0, 1)]
+    assert gear_verdict(windows) == "no gear to be held against a window"
+    code, said, _ = fl("design", "gear", "pfs")
+    assert code == 0
+    assert "no gear" in said
+    assert "yes" not in said
+    assert (
+        gear_verdict([gear_window(SDSSV, 0, within_s=20.0), gear_window(SDSSV, 1)])
+        == "alpha outside the window"
+    )
 
 
 def test_numbers_that_are_none_are_refused():

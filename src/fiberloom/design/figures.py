@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from fiberloom.design.coverage import ArrayCoverage, Coverage
 from fiberloom.design.efficiency import Efficiency
-from fiberloom.design.gear import GearWindow
+from fiberloom.design.gear import GearWindow, gear_verdict
 from fiberloom.design.lattice import Lattice, Pattern
 from fiberloom.design.spring import SpringWindow
 from fiberloom.design.sweep import VariedDesign
@@ -91,8 +91,7 @@ def draw_gear(path: Path, name: str, windows: Sequence[GearWindow]) -> None:
         axes.barh(k, max(most - one.least, 0.0), left=one.least, height=0.5, color="tab:green", alpha=0.4)
         axes.plot(one.ratio, k, "o", color="black" if one.fits else "crimson")
         axes.annotate(f"{one.ratio:g}", (one.ratio, k), (0, 9), textcoords="offset points", ha="center")
-    outside = [one.axis for one in windows if not one.fits]
-    said = f"{', '.join(outside)} outside the window" if outside else "both ratios are in their windows"
+    said = gear_verdict(windows)
     axes.set(xscale="log", xlabel="motor turns per output turn", title=f"{name}: {said}")
     axes.set_yticks(range(len(windows)), [one.axis for one in windows])
     axes.set_ylim(-0.6, len(windows) - 0.3)

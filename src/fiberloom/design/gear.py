@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import statistics
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fiberloom.design.lattice import Lattice
 from fiberloom.errors import InputError
-from fiberloom.instruments import AXES, Instrument
+from fiberloom.instruments import AXES, Instrument, generate
 from fiberloom.instruments.axis import Axis
+from fiberloom.planning import bound_s, plan, random_pair
 from fiberloom.units import DEG_PER_RAD, GEAR, MM_PER_UM, UM_PER_MM, deg_s_to_rpm
 
 MOTOR_ERROR_DEG = 5.0
@@ -44,14 +47,18 @@ class GearWindow:
 
     needed_rpm: float
     """Of the motor, to make the range in time by this ratio; 0 where no time is asked for."""
+    geared: bool = True
+    """Has the motor a ratio to be held against the window? A piezo turns its arm itself."""
 
     @property
     def fits(self) -> bool:
-        """Is the ratio in the window?"""
-        return self.least <= self.ratio <= self.most
+        """Is the ratio in the window? True without one: `geared`."""
+        return not self.geared or self.least <= self.ratio <= self.most
 
     def advice(self) -> str:
         """What would help, with numbers; or that it fits."""
+        if not self.geared:
+            return "no gear: images correct what the motor makes of a way"
         if self.fits:
             return "fits"
         if self.least > self.most:
@@ -63,6 +70,14 @@ class GearWindow:
         if self.ratio < self.least:
             return f"a gear of {self.least} or more, for {self.requirement_um:g} um"
         return f"a gear of {self.most:.0f} or less, or a motor of {self.needed_rpm:.0f} rpm"
+
+
+def gear_verdict(windows: Sequence[GearWindow]) -> str:
+    """Of both axes, for titles; `windows`: of alpha and beta."""
+    if not any(one.geared for one in windows):
+        return "no gear to be held against a window"
+    outside = [one.axis for one in windows if not one.fits]
+    return f"{' and '.join(outside)} outside the window" if outside else "both ratios are in their windows"
 
 
 def twin_knows(axis: Axis) -> bool:
@@ -138,6 +153,7 @@ def gear_window(
         motor_rpm=used_rpm,
         range_s=move_s(way_deg, own.speed_deg_s, own.acceleration_deg_s2),
         needed_rpm=0.0 if math.isinf(most) else (motor_rpm or used_rpm) * own.gear / most,
+        geared=own.kind != "piezo",
     )
 
 
@@ -157,3 +173,53 @@ def _most(axis: str, way_deg: float, within_s: float | None, acceleration: float
 def _lever_mm(instrument: Instrument, axis: int) -> float:
     lattices = [Lattice.of(instrument, fibre) for fibre in instrument.science_fibres]
     return max(one.l_beta_mm if axis else one.reach_mm for one in lattices)
+
+
+@dataclass(frozen=True)
+class Reconfiguration:
+    """Plans between random fields, as the planner makes them: means, with standard errors over the fields."""
+
+    positioners: int
+    fields: int
+    motion_s: float
+    motion_error_s: float
+    over_least: float
+    """Over the time of the longest way of one axis, approach included."""
+    refused: float
+    """Positioners of a field that do not arrive."""
+
+
+def reconfiguration(instrument: Instrument, n: int, fields: int, seed: int = 0) -> Reconfiguration:
+    """Time from field to field of the `n` inner positioners, planned and verified.
+
+    `instrument`: whose motors follow trajectories; `fields`: pairs of random fields, drawn by `seed`.
+
+    Raises
+    ------
+    InputError
+        Fewer than two pairs, or motors that make ways of their own.
+    """
+    if fields < 2:
+        raise InputError(f"gear: {fields} pairs of fields have no error; give 2 or more")
+    other = [AXES[k] for k, axis in enumerate(instrument.axes) if axis.kind != "bldc" or not axis.closed_loop]
+    if other:
+        raise InputError(
+            f"{instrument.name}: {other[0]} does not follow trajectories; its time is that of its own drive: "
+            f"fiberloom observe --instrument {instrument.name}"
+        )
+    plane = generate(instrument, seed, n_positioners=min(n, instrument.layout.n_positioners))
+    times, least, refused = [], [], 0
+    for pair in range(fields):
+        start_deg, goal_deg = random_pair(plane, seed=seed + pair)
+        made = plan(plane, start_deg, goal_deg, seed=seed)
+        times.append(made.duration_s)
+        least.append(bound_s(plane, start_deg, goal_deg, refused=made.refused))
+        refused += len(made.refused)
+    return Reconfiguration(
+        len(plane),
+        fields,
+        statistics.mean(times),
+        statistics.stdev(times) / math.sqrt(fields),
+        statistics.mean(times) / statistics.mean(least),
+        refused / fields,
+    )

@@ -15,7 +15,7 @@ from fiberloom.errors import InputError
 from fiberloom.report.folder import prepare_file
 
 if TYPE_CHECKING:
-    from fiberloom.design.gear import GearWindow
+    from fiberloom.design.gear import GearWindow, Reconfiguration
     from fiberloom.design.spring import SpringWindow
 
 OutOption = Annotated[Path | None, typer.Option(help="Diagram to draw, PNG.")]
@@ -30,6 +30,11 @@ class GearOptions(DesignOptions):
         float | None, typer.Option(help="What the motor can do, rpm; default: what it is asked for.")
     ] = None
     within: Annotated[float | None, typer.Option(help="Time for the whole range of an axis, s.")] = None
+    planned: Annotated[
+        int, typer.Option(min=0, help="Plan random fields of so many positioners: time of a reconfiguration.")
+    ] = 0
+    fields: Annotated[int, typer.Option(min=2, help="Pairs of random fields, with --planned.")] = 8
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of everything random.")] = 0
     out: OutOption = None
 
 
@@ -54,8 +59,19 @@ def gear(options: GearOptions) -> int:
         from fiberloom.design.figures import draw_gear
 
         draw_gear(options.out, instrument.name, found)
-    options.show([gear_row(one) for one in found])
-    if not options.as_json:
+    rows, times = [gear_row(one) for one in found], []
+    if options.planned:
+        from fiberloom.design.gear import reconfiguration
+
+        times = [
+            reconfiguration_row(reconfiguration(instrument, options.planned, options.fields, options.seed))
+        ]
+    if options.as_json:
+        options.print_json({"axes": rows, "reconfiguration": times[0]} if times else rows)
+    else:
+        options.show(rows)
+        for row in times:
+            options.show(row)
         for one in found:
             if not one.fits:
                 typer.echo(f"{one.axis}: {one.advice()}")
@@ -71,12 +87,24 @@ def gear_row(one: GearWindow) -> dict[str, Any]:
         "least_ratio": one.least,
         "ratio": one.ratio,
         "most_ratio": round(one.most, 1) if math.isfinite(one.most) else "any",
-        "fits": "yes" if one.fits else "no",
+        "fits": "no gear" if not one.geared else "yes" if one.fits else "no",
         "motor_deg_um": round(one.motor_deg_um, 3),
         "step_um": round(one.step_um, 3),
         "play_um": round(one.play_um, 1),
         "motor_rpm": round(one.motor_rpm),
         "range_s": round(one.range_s, 2),
+    }
+
+
+def reconfiguration_row(one: Reconfiguration) -> dict[str, Any]:
+    """As it is printed."""
+    return {
+        "positioners": one.positioners,
+        "fields": one.fields,
+        "reconfiguration_s": round(one.motion_s, 2),
+        "error_s": round(one.motion_error_s, 2),
+        "over_longest_way": round(one.over_least, 3),
+        "refused_in_a_field": round(one.refused, 2),
     }
 
 

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from fiberloom.design.page import DesignSection
     from fiberloom.instruments import Instrument
 
+PAIRS = 4
+"""Of random fields that are planned."""
 RINGS = 6
 """Of the patch on which targets are observed."""
 
@@ -165,18 +167,24 @@ def _efficiency(options: ReportOptions, instrument: Instrument, folder: Path) ->
 
 
 def _gear(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
-    from fiberloom.cli.design.gear import gear_row
+    from fiberloom.cli.design.gear import gear_row, reconfiguration_row
     from fiberloom.design.figures import draw_gear
-    from fiberloom.design.gear import gear_window
+    from fiberloom.design.gear import gear_verdict, gear_window, reconfiguration
     from fiberloom.design.page import DesignSection
 
     found = [gear_window(instrument, axis, within_s=options.within) for axis in (0, 1)]
     picture = folder / "gear.png"
     draw_gear(picture, instrument.name, found)
-    outside = " and ".join(one.axis for one in found if not one.fits)
-    title = f"Gear: {outside} outside the window" if outside else "Gear: both ratios are in their windows"
+    title = f"Gear: {gear_verdict(found)}"
     says = [f"{one.axis}: {one.advice()}" for one in found if not one.fits]
-    return DesignSection(title, says, [[gear_row(one) for one in found]], picture)
+    tables, captions = [[gear_row(one) for one in found]], ["Both axes against their windows."]
+    try:
+        planned = reconfiguration(instrument, options.units, PAIRS, options.seed)
+        tables.append([reconfiguration_row(planned)])
+        captions.append("From one random field to another, as the planner makes it, with its standard error.")
+    except InputError as error:
+        says.append(f"reconfiguration not looked at: {error}")
+    return DesignSection(title, says, tables, picture, captions)
 
 
 def _spring(options: ReportOptions, instrument: Instrument, folder: Path) -> DesignSection:
