@@ -67,7 +67,7 @@ class PlainDrive:
         self.ran.append(programme)
         return all_of(programme.moving, Outcome.DONE)
 
-    def arrived(self, goal_deg):
+    def arrived(self, goal_deg, last=False):
         return None
 
     async def settle(self, ids):

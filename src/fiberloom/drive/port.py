@@ -193,10 +193,11 @@ class Drive(Protocol):
         """
         ...
 
-    def arrived(self, goal_deg: Floats) -> Flags | None:
+    def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
         """(N,) whose fibres are surely within the requirement of their goals (N, 2) in deg; such a one rests.
 
-        By all images since they moved. None: the last image alone is what tells.
+        By all images since they moved; before the `last` correction those that a move would less likely bring
+        there. None: the last image alone is what tells.
         """
         ...
 

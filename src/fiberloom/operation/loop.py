@@ -118,7 +118,7 @@ class Loop:
         """Corrections until the stop rule has enough, or so many were made; one at least to goals that have
         `moved` since the image."""
         for done in range(most):
-            self._note_arrived()
+            self._note_arrived(last=done == most - 1)
             if not (moved and done == 0) and self.settings.stop.satisfied(self._open_um()):
                 break
             await self.correct(corrections, f"correction {1 + done}")
@@ -127,7 +127,7 @@ class Loop:
         """Makes so many `corrections` more, whatever the stop rule says; after `run`."""
         how, first = self._corrections(), len(self.moves)
         for number in range(first, first + corrections):
-            self._note_arrived()
+            self._note_arrived(last=number == first + corrections - 1)
             await self.correct(how, f"correction {number}")
 
     async def _reposition(self, corrections: Corrections, step: SeriesStep, number: int) -> None:
@@ -185,9 +185,12 @@ class Loop:
             sigma_deg=self._expected_deg(),
         )
 
-    def _note_arrived(self) -> None:
-        """Which positioners are not moved again: by what their drive knows, else by the stop rule."""
-        known = self.motion.drive.arrived(self.goal_deg)
+    def _note_arrived(self, last: bool = False) -> None:
+        """Which positioners are not moved again: by what their drive knows, else by the stop rule.
+
+        `last`: no further correction will be made.
+        """
+        known = self.motion.drive.arrived(self.goal_deg, last)
         if known is not None:
             self._arrived = known
         else:

@@ -210,10 +210,12 @@ class DesiDrive:
         about = {"rounds": found.rounds, "waits": found.waits}
         return Programme(found.plan, tube_mm, commands, about).timed(begun_s)
 
-    def arrived(self, goal_deg: Floats) -> Flags:
+    def arrived(self, goal_deg: Floats, last: bool = False) -> Flags:
         """(N,) surely within the requirement of goals (N, 2) in deg; another move draws another scatter."""
+        goal_mm = self.plane.forward(*goal_deg.T)
         requirement_um = self.plane.instrument.operation.requirement_um
-        return self.standing.arrived(self.plane.forward(*goal_deg.T), requirement_um)
+        rests = self.standing.arrived(goal_mm, requirement_um)
+        return rests | self.standing.best_kept(goal_mm, requirement_um) if last else rests
 
     def _tube_mm(self, angles_deg: Floats) -> Floats:
         """(N,) mm, by how well the map is known at angles (N, 2) in deg."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import erfc
 
 from fiberloom.drive.desi.maps.learned import LearnedMaps
 from fiberloom.typing import Flags, Floats
@@ -52,8 +53,21 @@ class StandingPlaces:
         self.covariance_mm2 = np.where(told[:, None, None], after, self.covariance_mm2)
         self.fresh &= ~told
 
+    def best_kept(self, goal_mm: Floats, within_um: float) -> Flags:
+        """(N,) fibres that another move would less likely bring `within_um` of their goals (N, 2) in mm."""
+        off_um, sigma_um = self._off_um(goal_mm)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            beyond_now = 0.5 * erfc((within_um - off_um) / (np.sqrt(2.0) * sigma_um))
+        moved_um2 = UM_PER_MM**2 * np.einsum("ncc->n", self._maps.spread_mm2())
+        return np.asarray(~self.fresh & (beyond_now <= np.exp(-(within_um**2) / moved_um2)))
+
     def arrived(self, goal_mm: Floats, within_um: float) -> Flags:
         """(N,) fibres surely `within_um` of their goals (N, 2) in mm; none that no image has shown."""
-        off_um = UM_PER_MM * np.hypot(*(self.xy_mm - goal_mm).T)
-        sigma_um = UM_PER_MM * np.sqrt(0.5 * np.einsum("ncc->n", self.covariance_mm2))
+        off_um, sigma_um = self._off_um(goal_mm)
         return np.asarray(~self.fresh & (off_um + SURE_SIGMA * sigma_um <= within_um))
+
+    def _off_um(self, goal_mm: Floats) -> tuple[Floats, Floats]:
+        """(N,) distances from goals (N, 2) in mm, and (N,) sigma of an axis of these, um."""
+        off_um: Floats = UM_PER_MM * np.hypot(*(self.xy_mm - goal_mm).T)
+        sigma_um: Floats = UM_PER_MM * np.sqrt(0.5 * np.einsum("ncc->n", self.covariance_mm2))
+        return off_um, sigma_um

@@ -354,8 +354,8 @@ class CobraDrive:
         ids = iteration.orders.cobra_id.tolist()
         return Results({i: Result(i, OUTCOMES[how]) for i, how in zip(ids, result.ended, strict=True)})
 
-    def arrived(self, goal_deg: Floats) -> Flags | None:
-        """None: the last image alone is what tells. `goal_deg` (N, 2): not used."""
+    def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
+        """None: the last image alone is what tells. `goal_deg` (N, 2) and `last`: not used."""
         return None
 
     async def settle(self, ids: list[int]) -> None:

@@ -104,8 +104,8 @@ class SdssvDrive:
         await when_linked(self.client, trajectories)
         return await self.client.run_trajectories(trajectories, watch=watch)
 
-    def arrived(self, goal_deg: Floats) -> Flags | None:
-        """None: the last image alone is what tells. `goal_deg` (N, 2): not used."""
+    def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
+        """None: the last image alone is what tells. `goal_deg` (N, 2) and `last`: not used."""
         return None
 
     async def settle(self, ids: list[int]) -> None:

@@ -322,8 +322,8 @@ class StepperDrive:
         self.doubt_deg[rows] = 0.5 * (high - low) * self.known.steps.step_deg
         self.ids = sorted(set(self.ids) - set(self.plane.positioner_id[rows].tolist()))
 
-    def arrived(self, goal_deg: Floats) -> Flags | None:
-        """None: the last image alone is what tells. `goal_deg` (N, 2): not used."""
+    def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
+        """None: the last image alone is what tells. `goal_deg` (N, 2) and `last`: not used."""
         return None
 
     async def settle(self, ids: list[int]) -> None:
