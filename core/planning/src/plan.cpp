@@ -13,7 +13,8 @@ namespace fl::planning {
 namespace {
 
 constexpr int give_up_rounds = 40;
-constexpr int refining_rounds = 4; // the first ones, in which knots get finer grids
+constexpr int refining_rounds = 4;   // the first ones, in which knots get finer grids
+constexpr double effort_again = 0.4; // of the first round: what resists that seldom comes undone
 
 LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
     return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
@@ -137,7 +138,7 @@ bool Planner::find_paths() {
     const int wanted = paths.steps();
     const int last = static_cast<int>(settings_.last_deadline * wanted) + 20;
     take_over(paths);
-    Repair repair(paths, settings_, statistics_);
+    Repair repair(paths, settings_, statistics_, round_ == 0 ? 1.0 : effort_again);
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {

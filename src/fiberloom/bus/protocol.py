@@ -295,3 +295,17 @@ def counts_of_deg(angle_deg: float) -> int:
 def goto_duration_s(distance_deg: float, speed_rpm: float) -> float:
     """How long a goto takes about: the distance at the motor's speed and 0.25 s for the ramps."""
     return abs(distance_deg) * units.GEAR / (6.0 * speed_rpm) + 0.25
+
+
+# time on the wire
+
+BITRATE_KBIT = 1000.0
+"""What the positioners listen to."""
+
+_FRAME_BITS = 67.0  # of an extended frame without data, with the gap behind it
+_STUFFING = 1.04  # assumed: one stuff bit in 25; at random bits one in 32, at worst one in 4
+
+
+def frame_s(data_bytes: int) -> float:
+    """Seconds that an extended frame with so many bytes of data (0 to 8) takes at 1 Mbit/s."""
+    return (_FRAME_BITS + 8.0 * data_bytes) * _STUFFING / (BITRATE_KBIT * 1e3)

@@ -204,6 +204,10 @@ class PlanOptions(AtOnceOptions, JsonOptions):
             "it may stop on its way. As far as it can be had; the table says which pairs cannot bear it."
         ),
     ] = 0.0
+    most_frames: Annotated[
+        int | None,
+        typer.Option(help="Frames to load the trajectories at most; a plan that takes more is not written."),
+    ] = None
     out: Annotated[Path, typer.Option(help="Trajectories to write.")] = Path("trajectories.json")
     animate: Annotated[
         Path | None, typer.Option(help="Film of the motion to write, .gif or .mp4 (needs ffmpeg).")
@@ -217,6 +221,8 @@ class PlanOptions(AtOnceOptions, JsonOptions):
         _require_buffer(self.buffer)
         if self.budget is not None and not 0.0 < self.budget < math.inf:
             raise InputError(f"--budget {self.budget:g}: must be a finite number above 0 s")
+        if self.most_frames is not None and self.most_frames < 1:
+            raise InputError(f"--most-frames {self.most_frames}: must be 1 or more")
         if not self.late >= 0.0:
             raise InputError(f"--late {self.late:g}: must be a number of seconds from 0 on, or inf")
         if self.animate is not None:
@@ -270,10 +276,18 @@ class _Planned:
             "cpu_s": made.cpu_s,
             "points_per_axis_mean": sum(points) / max(1, len(points)),
             "points_per_axis_worst": max(points, default=0),
-            "frames": sum(points) + 2 * sum(robot.moves for robot in made.robots),
+            **self.frames(),
             "min_clearance_mm": gap_mm if math.isfinite(gap_mm) else None,
             "verified": self.checked.ok,
         } | self.late_report()
+
+    def frames(self) -> dict[str, Any]:
+        """What loading takes; the time, where the motors understand the frames of SDSS-V."""
+        from fiberloom.drive.sdssv.frame_budget import frame_budget
+
+        takes = frame_budget(self.plan)
+        sdssv = self.plane.instrument.drive.protocol == "sdssv"
+        return {"frames": takes.frames} | ({"wire_s": takes.wire_s} if sdssv else {})
 
     def late_report(self) -> dict[str, Any]:
         """What it costs that one may be late, and which pairs cannot bear it."""
@@ -344,6 +358,7 @@ def plan(options: PlanOptions) -> int:
     if not (found.checked.ok and fed):
         options.show(_verdict([found.plan], [found.checked], fed) | supply | {"trajectories": "not written"})
         return 1
+    _require_frames(found.frames()["frames"], options.most_frames)
     from fiberloom.report.outputs import marks
 
     found.plan.save(options.out, **marks(plane, options.seed))
@@ -455,6 +470,15 @@ def _require_buffer(asked_mm: float | None) -> None:
     """Raises InputError for a buffer that no arm can have."""
     if asked_mm is not None and not 0.0 < asked_mm < math.inf:
         raise InputError(f"--buffer {asked_mm:g}: must be a finite number above 0 mm")
+
+
+def _require_frames(needed: int, most: int | None) -> None:
+    """Raises InputError for a plan with more frames than asked for."""
+    if most is not None and needed > most:
+        raise InputError(
+            f"--most-frames {most}: this plan takes {needed} frames; not written. Allow more, or move fewer "
+            "positioners"
+        )
 
 
 def _verdict(plans: Sequence[Plan], checks: Sequence[Any], fed: bool) -> dict[str, Any]:

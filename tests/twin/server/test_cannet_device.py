@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fiberloom.bus.identifier import encode
+from fiberloom.bus.protocol import frame_s
 from fiberloom.bus.transport import Frame
 from fiberloom.twin.server.device import LINE_BYTES, Device, LineReader
-from fiberloom.twin.server.wire import DEAD_FRAME_S, Wire, frame_s
+from fiberloom.twin.server.wire import DEAD_FRAME_S, Wire
 
 ANSWER = re.compile(
     r"R ok|R ERR \d{1,2} [ -~]+|R CAN@net NT 420|R V[\d.]+|R CAN CAN CAN CAN"

@@ -13,8 +13,8 @@ constexpr int path_itself = 400;    // moves, velocity changes and waits cost ab
 constexpr int longest_hold = 24;    // steps
 constexpr int least_affordable = 4; // steps in conflict
 // Of a joint search of two; twice as many after each one in vain: what it takes is not known before. Of three
-// as many as the second one of two. All of a deadlock together take half a second at most, as do all of those
-// that hurry.
+// as many as the second one of two. All of a round together take about half a second at
+// most, and as much when paths are hurried.
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
 constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
@@ -110,7 +110,7 @@ List<Repair::Pair> Repair::pairs() const {
 }
 
 bool Repair::run(int first_steps, int last_steps) {
-    const double most = settings_.effort * std::max(least_rounds, rounds_per_robot * paths_.size());
+    const double most = effort_ * std::max(least_rounds, rounds_per_robot * paths_.size());
     last_steps_ = last_steps;
     first_steps_ = first_steps;
     joint_left_ = most_joint_nodes;
@@ -139,11 +139,11 @@ bool Repair::spare_around(PathIndex i) {
 // After a while without success there is none to be expected: one that is locked in has no way at all.
 std::int64_t Repair::most_in_vain() const {
     const std::int64_t states = std::max(least_vain, vain_per_robot * paths_.size());
-    return static_cast<std::int64_t>(settings_.effort * static_cast<double>(states));
+    return static_cast<std::int64_t>(effort_ * static_cast<double>(states));
 }
 
 int Repair::most_repairs_in_vain() const {
-    return static_cast<int>(settings_.effort *
+    return static_cast<int>(effort_ *
                             (least_repairs_in_vain + repairs_in_vain_per_pair * paths_.conflicts()));
 }
 
@@ -460,7 +460,7 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
     bool done = paths_.seek(last, {}, any_cost, {}, search_);
     if (done) {
         paths_.count_conflicts(last);
-        done = rounds(static_cast<int>(settings_.effort * most_repairs));
+        done = rounds(static_cast<int>(effort_ * most_repairs));
     }
     paths_.end_changes(done);
     if (!done) paths_.at(last).deadline = before;

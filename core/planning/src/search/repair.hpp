@@ -7,8 +7,10 @@ namespace fl::planning {
 
 class Repair {
   public:
-    Repair(PathSet &paths, const Settings &settings, Statistics &statistics)
-        : paths_(paths), settings_(settings), statistics_(statistics), random_(settings.seed) {}
+    // share: of the effort of the settings.
+    Repair(PathSet &paths, const Settings &settings, Statistics &statistics, double share)
+        : paths_(paths), settings_(settings), statistics_(statistics), effort_(share * settings.effort),
+          random_(settings.seed) {}
 
     // A path for every positioner, longest first, conflicts allowed where they cannot be avoided. Those that
     // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
@@ -75,6 +77,7 @@ class Repair {
     PathSet &paths_;
     const Settings &settings_;
     Statistics &statistics_;
+    double effort_;
     Random random_;
     Search search_;
     JointSearch joint_;

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from fiberloom.bus.cannet import BITRATES_KBIT, line_to_frame
+from fiberloom.bus.protocol import BITRATE_KBIT
 from fiberloom.bus.transport import Frame
-from fiberloom.twin.server.wire import BITRATE_KBIT, QUEUE_FRAMES, Wire
+from fiberloom.twin.server.wire import QUEUE_FRAMES, Wire
 
 PORTS = (1, 2, 3, 4)
 LINE_BYTES = 256

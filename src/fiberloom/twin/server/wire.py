@@ -8,20 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 
-QUEUE_FRAMES = 100
-BITRATE_KBIT = 1000.0
-"""What the positioners listen to."""
+from fiberloom.bus.protocol import frame_s
 
+QUEUE_FRAMES = 100
 DEAD_FRAME_S = 0.01
 """On a wire without acknowledgement, a queued frame is given up after this time."""
-
-_FRAME_BITS = 67.0  # of an extended frame without data, with the gap behind it
-_STUFFING = 1.04  # assumed: one stuff bit in 25; at random bits one in 32, at worst one in 4
-
-
-def frame_s(data_bytes: int) -> float:
-    """Seconds that an extended frame takes at 1 Mbit/s."""
-    return (_FRAME_BITS + 8.0 * data_bytes) * _STUFFING / (BITRATE_KBIT * 1e3)
 
 
 class Wire:
