@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from fiberloom._core.geometry import segment_distance
+from fiberloom.assignment.candidates import Block
 from fiberloom.drive.pfs.client import Orders
 from fiberloom.drive.piezo import SpeedScalingLaw, read_summary_maps
 from fiberloom.drive.piezo.cobras import stops_deg
@@ -52,7 +53,7 @@ def drawn_goals(drive, dots_mm, rng, crossing):
     open_ &= np.hypot(*np.moveaxis(places - dots_mm[:, :2], 2, 0)) > dots_mm[:, 2] + APART_MM
     if not crossing:
         for k in range(TRIALS):
-            open_[k] &= ~rule.barred(rows, angles[k] + low)
+            open_[k] &= rule.blocks(rows, angles[k] + low) == Block.NONE
     rank, ours = rng.permutation(n), pairs[pairs[:, 1] < n]
     while True:
         has, trial = open_.any(axis=0), open_.argmax(axis=0)

@@ -221,7 +221,7 @@ def screened(placement: Placement, found: Candidates, rules: Rules, by: Preferen
     screen_placed(placement, found, segments, block, rules.pair_mm)
     if by.ways is not None:
         free = np.flatnonzero(block == Block.NONE)
-        block[free[by.ways.barred(found.positioner[free], found.goal_deg[free])]] = Block.POCKET
+        block[free] = by.ways.blocks(found.positioner[free], found.goal_deg[free])
     return segments, block
 
 

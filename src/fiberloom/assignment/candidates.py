@@ -28,7 +28,9 @@ class Block(IntEnum):
     STOPS = 3
     BODY = 4
     POCKET = 5
-    ARM = 6
+    EDGE = 6
+    DARK = 7
+    ARM = 8
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class Candidates:
 class WayRule(Protocol):
     """What the motors of an instrument ask of the targets, beside that arms do not touch there."""
 
-    def barred(self, positioner: Ints, goal_deg: Floats) -> Flags:
-        """(C,) candidates that cannot be reached past what does not move.
+    def blocks(self, positioner: Ints, goal_deg: Floats) -> Ints:
+        """(C,) what keeps each candidate from its goal, a `Block`; `Block.NONE`: nothing does.
 
         `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta.
         """

@@ -21,6 +21,8 @@ WORDS = {
     Block.STOPS: "would run into a hard stop on the approach",
     Block.BODY: "would touch a fiducial, a guide camera or an offline neighbour",
     Block.POCKET: "could not get there past what does not move",
+    Block.EDGE: "might not reach it: so near to an end of its reach, by what is not known of its arms",
+    Block.DARK: "would have its fibre behind its dot, where no image shows it",
     Block.ARM: "would touch a neighbour whose target the list demands",
 }
 

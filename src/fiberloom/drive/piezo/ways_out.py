@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiberloom.assignment.candidates import Block
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.drive.piezo.swept import SweptCheck, box_of
 from fiberloom.instruments import FocalPlane
@@ -42,12 +43,13 @@ class WaysOut:
         check = SweptCheck.of(CobraArms.of(plane), plane.fiducials)
         return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm)
 
-    def barred(self, positioner: Ints, goal_deg: Floats) -> Flags:
-        """(C,) candidates behind a dot, or whose way out meets what does not move.
+    def blocks(self, positioner: Ints, goal_deg: Floats) -> Ints:
+        """(C,) `Block.POCKET` where the way out meets what does not move, `Block.DARK` behind a dot.
 
         `positioner` (C,): rows of the plane; `goal_deg` (C, 2): alpha and beta.
         """
-        return self._meets_what_stands(positioner, goal_deg) | self._behind_dots(positioner, goal_deg)
+        dark = np.where(self._behind_dots(positioner, goal_deg), Block.DARK, Block.NONE)
+        return np.where(self._meets_what_stands(positioner, goal_deg), Block.POCKET, dark)
 
     def _behind_dots(self, positioner: Ints, goal_deg: Floats) -> Flags:
         """(C,) candidates at which the fibre is behind a dot: dark, so that nothing corrects it."""
