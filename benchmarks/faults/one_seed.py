@@ -107,7 +107,7 @@ def _host(desk: Desk, words: list[str]) -> Host:
 
 
 def _alone(ours: Connection, theirs: Connection, desk: Desk, words: list[str]) -> None:
-    gc.freeze()  # what the parent has left to collect may hold threads, which are not here: joining them is a crash
+    gc.freeze()  # what the parent left may own threads that are not here: to join them is a crash
     die_with_parent()
     ours.close()  # or the end of the other process would not be noticed
     command(theirs, desk, words)
