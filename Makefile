@@ -99,7 +99,7 @@ $(SAG): $(ARMS)
 
 # A file to a worker: what its tests share is prepared once. At the end: what was left out, and what to install.
 test: setup
-	$(BIN)/pytest -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
+	$(BIN)/pytest -rfEs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
 
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed

@@ -63,7 +63,7 @@ def test_the_report_says_what_the_plan_comes_to(fl, planned, plane, ends, tmp_pa
     assert (code, err) == (0, "")
     assert list(report) == [
         "robots", "arrived", "not_arrived", "own_approach", "notes", "buffer_mm", "bound_s", "motion_s",
-        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "frames",
+        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "frames", "wire_s",
         "min_clearance_mm", "verified", "most_at_once", "trajectories",
     ]  # fmt: skip
     assert (report["robots"], report["arrived"], report["not_arrived"], report["notes"]) == (N, N, [], [])
