@@ -27,6 +27,8 @@ SETTLED = 4
 MOST_OBJECTS = 20
 """That one field more may leave, the median: rows of its visit, of its exposure and of its stages."""
 PAGE = 4096
+GLIBC = hasattr(CDLL(None), "malloc_info")
+NO_GLIBC = "heaps of the GNU C library are looked at; this system has another one"
 
 
 def resident():
@@ -78,7 +80,7 @@ def test_objects_do_not_grow_with_the_fields(night):
     assert sum(growing.values()) < MOST_OBJECTS, growing
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="another C library has other heaps")
+@pytest.mark.skipif(not GLIBC, reason=NO_GLIBC)
 def test_free_pages_of_all_heaps_are_given_back():
     kept, size = [], 64 * 1024  # below 128 KiB the C library takes memory of a heap, not of the system
 
@@ -119,7 +121,7 @@ c.fclose(file)
 """
 
 
-@pytest.mark.skipif(not hasattr(CDLL(None), "malloc_info"), reason="another C library has other heaps")
+@pytest.mark.skipif(not GLIBC, reason=NO_GLIBC)
 @pytest.mark.parametrize(("asked", "fewest", "most"), [((), 3, 99), (("few",), 1, memory.HEAPS)])
 def test_threads_share_few_heaps(tmp_path, asked, fewest, most):
     file = tmp_path / "malloc.xml"

@@ -17,19 +17,6 @@ N = 7
 ANGLES = ("alpha_deg", "beta_deg")
 
 
-@pytest.fixture(scope="module")
-def plane():
-    return generate(load_instrument("sdssv"), 0, n_positioners=N)
-
-
-@pytest.fixture(scope="module")
-def ends(plane, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ends")
-    for name, angles_deg in zip(("start.csv", "goal.csv"), random_pair(plane, 0), strict=True):
-        write_configuration(folder / name, plane.positioner_id, angles_deg)
-    return folder
-
-
 @pytest.fixture
 def planned(fl, ends, tmp_path):
     """Runs the command on the two configurations: exit code, stdout, stderr."""
