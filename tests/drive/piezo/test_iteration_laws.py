@@ -114,3 +114,17 @@ def test_places_are_filtered():
         law.command(true + 0.01 * rng.standard_normal(2), true, SIGMA_DEG, np.zeros(2, dtype=bool))
     assert np.sqrt(law.place_variance) == pytest.approx([0.002, 0.002], rel=0.05)
     assert np.abs(law.place_deg - true).max() < 0.006
+
+
+def test_the_aim_is_what_leaves_least():
+    """By trial: of all parts of a way that a motor of this scatter may aim at, none leaves less."""
+    law = LearningLaw(even_maps(), CURVE_US)
+    law.believe(np.array([100.0, 100.0]), np.zeros(2))
+    law.trust_maps(np.array([0.05, 0.8]), ALL)
+    way = np.array([10.0, -10.0])
+    share2 = law.error_share2(way)
+    assert share2[1] > 10.0 * share2[0]
+    parts = np.linspace(0.0, 1.5, 1501)[:, None]
+    left = (1.0 - parts) ** 2 + parts**2 * share2
+    best = parts[left.argmin(axis=0), 0]
+    assert law.aimed_deg(way) == pytest.approx(best * way, abs=0.02)

@@ -118,6 +118,11 @@ class LearningLaw:
         """Motors are at `place_deg` (M,), by a `variance` (M,) in deg^2: as after a search of the stops."""
         self.place_deg, self.place_variance, self._sent = place_deg.copy(), variance.copy(), None
 
+    @property
+    def has_moved(self) -> bool:
+        """Whether something was sent since the last image."""
+        return self._sent is not None
+
     def expected_deg(self) -> Floats:
         """(M,) where motors should be now in deg, after what was sent last."""
         assert self.place_deg is not None
@@ -172,6 +177,22 @@ class LearningLaw:
         most = self.settings.most_steps * self.gain[rows, direction] * self._longer(direction)
         farthest = self.maps.way_deg(self.place_deg, np.copysign(most, way_deg))
         return np.clip(way_deg, np.minimum(farthest, 0.0), np.maximum(farthest, 0.0))
+
+    def error_share2(self, way_deg: Floats) -> Floats:
+        """(M,) dimensionless mean squares by which moves in the direction of ways (M,) miss, of their way."""
+        rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
+        share2 = (self.gain_variance + self.settings.drift_sigma**2) / np.square(self.gain)
+        out: Floats = share2[rows, direction] + self.scatter.variance
+        return out
+
+    def aimed_deg(self, way_deg: Floats) -> Floats:
+        """(M,) the part of ways (M,) in deg to aim at so that least is left of them.
+
+        A move that goes a part g of the way and misses by a share s of it leaves (1 - g)^2 + g^2 s^2: least
+        at g = 1 / (1 + s^2), where s^2 / (1 + s^2) is left instead of s^2.
+        """
+        aimed: Floats = way_deg / (1.0 + self.error_share2(way_deg))
+        return aimed
 
     def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:
         """(M,) deg that ways (M,) miss their ends by, but for as rarely as normal ones by `sigmas`."""
