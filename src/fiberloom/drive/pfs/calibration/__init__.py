@@ -1,5 +1,6 @@
 """Cobras (PFS): geometry, stops and motor maps from places that a camera sees."""
 
+from fiberloom.drive.pfs.calibration.doubtful import doubtful, least_moves
 from fiberloom.drive.pfs.calibration.maps import MapFit, Moves, fit_maps
 from fiberloom.drive.pfs.calibration.measure import (
     CobraCalibration,
@@ -18,7 +19,9 @@ __all__ = [
     "MapFit",
     "Moves",
     "calibrate_cobras",
+    "doubtful",
     "fit_maps",
+    "least_moves",
     "maps_at",
     "pulses_for",
 ]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fiberloom.assignment import Assignment, AssignSettings, assign_relaxed
 from fiberloom.blocking import finish
 from fiberloom.calibration.transmission.nominal import nominal_maps
+from fiberloom.drive.pfs.calibration import doubtful
 from fiberloom.drive.way_rules import way_rule
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.instruments.model import OwnRequirement
@@ -21,6 +22,7 @@ from fiberloom.studies.paper.focal_plane.table01_rows import Row
 from fiberloom.studies.paper.memory import forget_peak, peak_bytes
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.targets import random_targets
+from fiberloom.twin.cobras.source import CobraSource
 from fiberloom.twin.motors.arrays import AnySource, source_of
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
@@ -55,6 +57,10 @@ class InstrumentRun:
     """After each move: as `reconfiguration_s`, until its image."""
     further_um: Floats | None = None
     """As `error_um`, after `FURTHER` corrections more; None: none were made."""
+    doubtful: dict[str, str] = field(default_factory=dict)
+    """Units, by number, that may not arrive by their calibration before the field, and why."""
+    doubtful_missed: int = 0
+    """Of these so many are healthy, have a target and are not on it after the last move."""
 
     def on_target(self, within_um: float, move: int = -1) -> float:
         """Share of all that were assigned, faulty ones included, that are so near after a `move`."""
@@ -85,23 +91,26 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
         plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane))
     )
     target_mm = targets.xy_mm[np.maximum(assignment.target, 0)]
-    field = _FieldRun(kept, source_of(plane, seed, "noise"), assignment, target_mm)
-    finish(field.observe(seed))
+    made = _FieldRun(kept, source_of(plane, seed, "noise"), assignment, target_mm)
+    finish(made.observe(seed))
     cpu_s = time.process_time() - begun_s
-    contacts = field.loop.motion.contacts_true
-    errors_um, ended_s = field.errors_um(), field.ended_s()
-    finish(field.go_further(row.requirement_um))
+    contacts = made.loop.motion.contacts_true
+    errors_um, ended_s = made.errors_um(), made.ended_s()
+    doubtful_missed = made.doubtful_missed()
+    finish(made.go_further(row.requirement_um))
     return InstrumentRun(
         errors_um,
         assignment.n_assigned,
         len(plane),
-        field.loop.motion.collisions_verified,
+        made.loop.motion.collisions_verified,
         0 if contacts is None else contacts,
         ended_s[-1],
         cpu_s,
         peak_bytes() / BYTES_PER_GIB,
         ended_s,
-        field.errors_um()[-1] if len(field.loop.moves) > len(errors_um) else None,
+        made.errors_um()[-1] if len(made.loop.moves) > len(errors_um) else None,
+        made.doubtful,
+        doubtful_missed,
     )
 
 
@@ -121,7 +130,9 @@ class _FieldRun:
         if self.plane.instrument.drive.by_maps:
             swept = await self.source.sweep(SWEEP_POINTS, lambda done, total: None)
             maps = maps if swept is None else swept.maps
-        motion = FieldMotion(self.plane, maps, await self.source.open(), NoRecord())
+        hardware = await self.source.open()
+        self.doubtful = _doubtful(self.source, self.plane)
+        motion = FieldMotion(self.plane, maps, hardware, NoRecord())
         self._begun_s = motion.drive.time_s
         await motion.connect()
         await reference(motion)
@@ -139,6 +150,12 @@ class _FieldRun:
         bus_s = np.array([move.measurement.time_s for move in self.loop.moves]) - self._begun_s
         return [float(s) for s in bus_s + exposure_s * images]
 
+    def doubtful_missed(self) -> int:
+        """How many of the doubtful are healthy and farther from their target than is asked for."""
+        rows = self.plane.positioner_id[self.loop.correctable]
+        missed = self.errors_um()[-1] > self.plane.instrument.operation.requirement_um
+        return int((missed & np.isin(rows.astype(str), list(self.doubtful))).sum())
+
     def errors_um(self) -> list[Floats]:
         """True, after each move so far, of the healthy fibres with a target."""
         return [_true_error_um(move, self.target_mm, self.loop.correctable) for move in self.loop.moves]
@@ -148,6 +165,16 @@ class _FieldRun:
         missed = bool((self.errors_um()[-1] > requirement_um).any())
         if missed and not self.loop.motion.drive.model.blind:
             await self.loop.further(FURTHER)
+
+
+def _doubtful(source: AnySource, plane: FocalPlane) -> dict[str, str]:
+    """By number why units may not arrive, by their calibration before the field; empty where none has one."""
+    if not isinstance(source, CobraSource) or not source.calibrations:
+        return {}
+    operation = plane.instrument.operation
+    reach_mm, moves = plane.l_alpha_mm + plane.l_beta_mm, 1 + operation.corrections_max
+    found = doubtful(source.calibrations[0], reach_mm, operation.requirement_um, moves)
+    return {str(plane.positioner_id[row]): why for row, why in sorted(found.items())}
 
 
 def _true_error_um(move: Move, target_mm: Floats, rows: Flags) -> Floats:
