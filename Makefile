@@ -99,7 +99,7 @@ $(SAG): $(ARMS)
 
 # A file to a worker: what its tests share is prepared once. At the end: what was left out, and what to install.
 test: setup
-	$(BIN)/pytest -rs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
+	$(BIN)/pytest -rfEs -n $(JOBS) --dist loadfile --no-loadscope-reorder -m "not long"
 
 # The real jaeger of SDSS-V, in an environment of its own; tests drive the twin with it where it is.
 jaeger: $(JAEGER)/.installed
@@ -250,9 +250,10 @@ lock:
 	@cat build/constraints.head constraints.txt > build/constraints.new && mv build/constraints.new constraints.txt
 
 # Known vulnerabilities of what constraints.txt pins. Needs pip-audit and the network; nothing is asked at run time.
+# Strict: a package that could not be asked about is a failure, not a good end.
 audit:
 	@command -v pip-audit > /dev/null || { echo "audit: pip-audit is not installed (pip install pip-audit); nothing was checked"; exit 1; }
-	@pip-audit --disable-pip --require-hashes -r constraints.txt || \
+	@pip-audit --strict --disable-pip --require-hashes -r constraints.txt || \
 	    { echo "audit: something was found, or the advisories could not be asked; see above"; exit 1; }
 
 inplace:

@@ -10,6 +10,10 @@ import pytest
 from hypothesis import settings
 
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.operation.safety.memory import few_heaps
+
+# threads of thousands of tests: a worker whose heaps are one for each grows to 6 GB
+few_heaps()
 
 # no deadlines: machines differ; in continuous integration always the same examples
 settings.register_profile("here", deadline=None)

@@ -6,6 +6,7 @@ Where one leaves the array locked after a collision `fiberloom recover` follows,
 from __future__ import annotations
 
 import ctypes
+import gc
 import multiprocessing
 import resource
 import shutil
@@ -106,6 +107,7 @@ def _host(desk: Desk, words: list[str]) -> Host:
 
 
 def _alone(ours: Connection, theirs: Connection, desk: Desk, words: list[str]) -> None:
+    gc.freeze()  # what the parent left may own threads that are not here: to join them is a crash
     die_with_parent()
     ours.close()  # or the end of the other process would not be noticed
     command(theirs, desk, words)

@@ -175,8 +175,8 @@ def test_an_instrument_without_requirements_says_so(tmp_path):
             "desi: alpha is a bldc motor",
         ),
         (
-            ("twin", "--listen", "127.0.0.1:19777", "--instrument", "moons", "--positioners", 2),
-            "moons: alpha is a stepper motor",
+            ("twin", "--listen", "127.0.0.1:19777", "--instrument", "lamost", "--positioners", 2),
+            "lamost: alpha is a stepper motor",
         ),
     ],
 )

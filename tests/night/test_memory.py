@@ -1,10 +1,12 @@
 """A night of many fields holds no more than one of a few: neither objects nor pages."""
 
 import gc
+import subprocess
 import sys
 import threading
 import weakref
 from collections import Counter
+from ctypes import CDLL
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 from nights import Night
 
-from fiberloom.night import runner
+from fiberloom.night import carry, runner
 from fiberloom.operation.safety import memory
 
 FIELDS = 14
@@ -25,6 +27,8 @@ SETTLED = 4
 MOST_OBJECTS = 20
 """That one field more may leave, the median: rows of its visit, of its exposure and of its stages."""
 PAGE = 4096
+GLIBC = hasattr(CDLL(None), "malloc_info")
+NO_GLIBC = "heaps of the GNU C library are looked at; this system has another one"
 
 
 def resident():
@@ -45,23 +49,28 @@ def tracked():
 @pytest.fixture(scope="module")
 def night(tmp_path_factory):
     """A night of many fields, with its objects counted while each shutter is open."""
-    night, counted, given = Night(tmp_path_factory.mktemp("memory"), QUEUE), [], []
+    night = Night(tmp_path_factory.mktemp("memory"), QUEUE)
+    night.counted, night.given, night.few = [], [], []
     with pytest.MonkeyPatch.context() as patch:
 
         def give_back():
-            given.append(night.book.exposures()[-1])
-            counted.append(tracked())
+            night.given.append(night.book.exposures()[-1])
+            night.counted.append(tracked())
             memory.give_back()
 
         patch.setattr(runner, "give_back", give_back)
+        patch.setattr(carry, "few_heaps", lambda: night.few.append(True))
         assert night.run().status == "finished"
-    night.counted, night.given = counted, given
     return night
 
 
 def test_what_positioning_has_left_is_given_back_while_the_shutter_is_open(night):
     assert [exposure.number for exposure in night.given] == [1] * FIELDS
     assert len({exposure.visit_id for exposure in night.given}) == FIELDS
+
+
+def test_a_night_has_few_heaps(night):
+    assert night.few == [True]
 
 
 def test_objects_do_not_grow_with_the_fields(night):
@@ -71,7 +80,7 @@ def test_objects_do_not_grow_with_the_fields(night):
     assert sum(growing.values()) < MOST_OBJECTS, growing
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="another C library has other heaps")
+@pytest.mark.skipif(not GLIBC, reason=NO_GLIBC)
 def test_free_pages_of_all_heaps_are_given_back():
     kept, size = [], 64 * 1024  # below 128 KiB the C library takes memory of a heap, not of the system
 
@@ -87,3 +96,34 @@ def test_free_pages_of_all_heaps_are_given_back():
     before = resident()
     memory.give_back()
     assert before - resident() > 0.7 * 2 * 1000 * size
+
+
+HEAPS_OF_SIX_THREADS = """
+import ctypes, sys, threading
+from fiberloom.operation.safety.memory import few_heaps
+if "few" in sys.argv:
+    few_heaps()
+meet = threading.Barrier(6)
+def work():
+    meet.wait()  # all are there before one allocates
+    kept = [bytes(1000) for _ in range(100)]
+    meet.wait()
+threads = [threading.Thread(target=work) for _ in range(6)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+c = ctypes.CDLL(None)
+c.fopen.restype = ctypes.c_void_p
+file = ctypes.c_void_p(c.fopen(sys.argv[1].encode(), b"w"))
+c.malloc_info(0, file)
+c.fclose(file)
+"""
+
+
+@pytest.mark.skipif(not GLIBC, reason=NO_GLIBC)
+@pytest.mark.parametrize(("asked", "fewest", "most"), [((), 3, 99), (("few",), 1, memory.HEAPS)])
+def test_threads_share_few_heaps(tmp_path, asked, fewest, most):
+    file = tmp_path / "malloc.xml"
+    subprocess.run([sys.executable, "-c", HEAPS_OF_SIX_THREADS, file, *asked], check=True)
+    assert fewest <= file.read_text().count("<heap nr=") <= most

@@ -280,6 +280,7 @@ def test_goals_that_have_moved_get_a_correction_however_good_the_blind_move_was(
         made.append(label)
 
     loop.correct, loop._open_um = correct, lambda: np.zeros(0)
+    loop._note_arrived = lambda last=False: None
     assert loop.settings.stop.satisfied(np.zeros(0))
     asyncio.run(loop._corrected(None, 3, moved=True))
     assert made == ["correction 1"]

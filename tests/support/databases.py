@@ -32,7 +32,8 @@ def postgres():
     as_user = []
     if os.getuid() == 0:  # the server does not run as root
         shutil.chown(folder, "postgres", "postgres")
-        as_user = ["runuser", "-u", "postgres", "--"]
+        other = shutil.which("runuser", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
+        as_user = [other or "runuser", "-u", "postgres", "--"]
     folder.chmod(0o755)
 
     def run(name, *words):

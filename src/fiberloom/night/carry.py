@@ -13,6 +13,7 @@ from fiberloom.errors import InputError, StoppedError
 from fiberloom.night.on_record import last_time
 from fiberloom.night.runner import NightRunner, NightStoppedError
 from fiberloom.night.setup import NightSetup
+from fiberloom.operation.safety.memory import few_heaps
 from fiberloom.operation.safety.stop import reason
 from fiberloom.operation.safety.writing import beside
 from fiberloom.operation.session.session import HeldArray, Session
@@ -61,6 +62,7 @@ async def carry_out(
         Another process has asked for a stop; the night can be resumed.
     """
     setup.read_queue()  # told before the array is touched
+    few_heaps()
     session = await beside(Session, setup.array, setup.command_line, progress, setup.exclude, setup.witness)
     setup.known.plane = session.plane
     async with session.owning(Deed.OBSERVE) as held:

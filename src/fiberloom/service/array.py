@@ -22,7 +22,7 @@ from fiberloom.field import Field
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
-from fiberloom.operation.safety.memory import give_back
+from fiberloom.operation.safety.memory import few_heaps, give_back
 from fiberloom.operation.session.array_lock import state_of
 from fiberloom.operation.session.session import KnownArray, Session, SessionReport
 from fiberloom.operation.session.states import Deed, SessionState, require_legal
@@ -96,6 +96,7 @@ class ServedArray:
     def __init__(self, arrayed: Field, book: ArrayBook, bus: str, folder: Path, hub: Hub) -> None:
         """`arrayed`: the field with its bus and camera; `book`: of the array; `bus`: its address;
         `folder`: of the record of observations; `hub`: where events go."""
+        few_heaps()
         self.field, self.book, self.bus, self.hub = arrayed, book, bus, hub
         self.place = Place(folder, NUMBERED)
         self.commands = CommandBook(book)

@@ -335,7 +335,7 @@ class Live:
 
     @property
     def cutout_utc(self) -> float | None:
-        """When the image of the cut-outs was taken, s since 1970; None before the first one."""
+        """When the image of the cut-outs was taken, in s since 1970; None before the first one."""
         with self._lock:
             return None if self._image is None else self._image.utc
 

@@ -17,19 +17,6 @@ N = 7
 ANGLES = ("alpha_deg", "beta_deg")
 
 
-@pytest.fixture(scope="module")
-def plane():
-    return generate(load_instrument("sdssv"), 0, n_positioners=N)
-
-
-@pytest.fixture(scope="module")
-def ends(plane, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ends")
-    for name, angles_deg in zip(("start.csv", "goal.csv"), random_pair(plane, 0), strict=True):
-        write_configuration(folder / name, plane.positioner_id, angles_deg)
-    return folder
-
-
 @pytest.fixture
 def planned(fl, ends, tmp_path):
     """Runs the command on the two configurations: exit code, stdout, stderr."""
@@ -63,7 +50,7 @@ def test_the_report_says_what_the_plan_comes_to(fl, planned, plane, ends, tmp_pa
     assert (code, err) == (0, "")
     assert list(report) == [
         "robots", "arrived", "not_arrived", "own_approach", "notes", "buffer_mm", "bound_s", "motion_s",
-        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "frames",
+        "motion_over_bound", "cpu_s", "points_per_axis_mean", "points_per_axis_worst", "frames", "wire_s",
         "min_clearance_mm", "verified", "most_at_once", "trajectories",
     ]  # fmt: skip
     assert (report["robots"], report["arrived"], report["not_arrived"], report["notes"]) == (N, N, [], [])

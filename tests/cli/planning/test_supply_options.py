@@ -5,19 +5,7 @@ from importlib.resources import files
 
 import pytest
 
-from fiberloom.instruments import generate, load_instrument
-from fiberloom.planning import random_pair, write_configuration
-
 N = 7
-
-
-@pytest.fixture(scope="module")
-def ends(tmp_path_factory):
-    plane = generate(load_instrument("sdssv"), 0, n_positioners=N)
-    folder = tmp_path_factory.mktemp("ends")
-    for name, angles_deg in zip(("start.csv", "goal.csv"), random_pair(plane, 0), strict=True):
-        write_configuration(folder / name, plane.positioner_id, angles_deg)
-    return folder
 
 
 @pytest.fixture

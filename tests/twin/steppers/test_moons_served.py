@@ -1,6 +1,7 @@
 """MOONS over TCP: a whole observation through three ports, and what is told where there is none."""
 
 import asyncio
+import os
 import socket
 from contextlib import closing, suppress
 
@@ -27,7 +28,8 @@ N, SEED, SPEED = 7, 0, 15.0
 
 def free_ports():
     """The first of three in a row that nothing listens on."""
-    for first in range(20000 + 3 * (SEED + hash(asyncio) % 1000), 60000, 3):
+    # each worker of a test run begins elsewhere
+    for first in range(20000 + 3 * (os.getpid() % 1000), 60000, 3):
         with suppress(OSError):
             for port in range(first, first + 3):
                 with closing(socket.socket()) as one:
@@ -118,3 +120,20 @@ def test_addresses(text):
         gateway_address(text)
     assert gateway_address("host") == ("host", 4700)
     assert gateway_address("host:4800") == ("host", 4800)
+
+
+def test_a_connection_that_ends_while_something_is_sent_is_told_by_silence():
+    gateways = TcpGateways("127.0.0.1")
+
+    class Ended:
+        """A writer whose connection the reader finds ended first."""
+
+        def write(self, data):
+            gateways._writers.pop(0)
+
+        async def drain(self):
+            raise ConnectionResetError("reset by peer")
+
+    gateways._writers[0] = Ended()
+    asyncio.run(gateways.send(0, b"frame"))
+    assert gateways._writers == {}

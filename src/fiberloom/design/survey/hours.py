@@ -147,11 +147,13 @@ def survey_time(
             break
     done = np.stack(shares)[:, :, 0]
     needed = np.array([_needed(curve, settings.share) for curve in done.T])
-    reach = float(np.mean([_reachable(plane, one) for one in turned]))
     mean, error = _mean(needed)
     sure = bool(np.isfinite(needed).all())
     return SurveyTime(
-        _steps(np.stack(shares), settings), mean if sure else None, error if sure else None, reach
+        _steps(np.stack(shares), settings),
+        mean if sure else None,
+        error if sure else None,
+        float(np.mean(reachable)),
     )
 
 

@@ -67,7 +67,7 @@ class TcpGateways:
             writer.write(data)
             await writer.drain()
         except OSError:
-            del self._writers[gateway]
+            self._writers.pop(gateway, None)  # who reads may have noticed first
 
     async def receive(self, timeout_s: float) -> list[tuple[int, bytes]]:
         """What gateways have said; waits up to `timeout_s` of their time for anything."""
