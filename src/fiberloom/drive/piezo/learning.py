@@ -10,6 +10,8 @@ from fiberloom.drive.piezo.scatter import ScatterBelief
 from fiberloom.typing import Flags, Floats, Ints
 
 AT_STOP_DEG = 0.5
+WILD = 0.35
+"""[A] A motor whose moves miss by a larger share of their way aims shorter."""
 
 
 @dataclass(frozen=True)
@@ -178,20 +180,15 @@ class LearningLaw:
         farthest = self.maps.way_deg(self.place_deg, np.copysign(most, way_deg))
         return np.clip(way_deg, np.minimum(farthest, 0.0), np.maximum(farthest, 0.0))
 
-    def error_share2(self, way_deg: Floats) -> Floats:
-        """(M,) dimensionless mean squares by which moves in the direction of ways (M,) miss, of their way."""
-        rows, direction = np.arange(self.maps.motors), direction_of(way_deg)
-        share2 = (self.gain_variance + self.settings.drift_sigma**2) / np.square(self.gain)
-        out: Floats = share2[rows, direction] + self.scatter.variance
-        return out
-
     def aimed_deg(self, way_deg: Floats) -> Floats:
-        """(M,) the part of ways (M,) in deg to aim at so that least is left of them.
+        """(M,) the part of ways (M,) in deg to aim at; shorter ones for motors known to be wild alone.
 
         A move that goes a part g of the way and misses by a share s of it leaves (1 - g)^2 + g^2 s^2: least
-        at g = 1 / (1 + s^2), where s^2 / (1 + s^2) is left instead of s^2.
+        at g = 1 / (1 + s^2), where s^2 / (1 + s^2) is left instead of s^2. Motors that scatter by less than
+        `WILD` go the whole way: of a fifth a shorter aim saves 2 %.
         """
-        aimed: Floats = way_deg / (1.0 + self.error_share2(way_deg))
+        scatter2 = self.scatter.variance
+        aimed: Floats = way_deg / (1.0 + np.where(scatter2 > WILD**2, scatter2, 0.0))
         return aimed
 
     def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:

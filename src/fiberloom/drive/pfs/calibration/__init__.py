@@ -1,6 +1,6 @@
 """Cobras (PFS): geometry, stops and motor maps from places that a camera sees."""
 
-from fiberloom.drive.pfs.calibration.doubtful import doubtful, least_moves
+from fiberloom.drive.pfs.calibration.doubtful import arriving, doubtful, left_out, most_scatter
 from fiberloom.drive.pfs.calibration.maps import MapFit, Moves, fit_maps
 from fiberloom.drive.pfs.calibration.measure import (
     CobraCalibration,
@@ -18,10 +18,12 @@ __all__ = [
     "CobraSweepSettings",
     "MapFit",
     "Moves",
+    "arriving",
     "calibrate_cobras",
     "doubtful",
     "fit_maps",
-    "least_moves",
+    "left_out",
     "maps_at",
+    "most_scatter",
     "pulses_for",
 ]

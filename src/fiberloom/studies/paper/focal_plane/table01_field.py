@@ -10,7 +10,7 @@ import numpy as np
 from fiberloom.assignment import Assignment, AssignSettings, assign_relaxed
 from fiberloom.blocking import finish
 from fiberloom.calibration.transmission.nominal import nominal_maps
-from fiberloom.drive.pfs.calibration import doubtful
+from fiberloom.drive.pfs.calibration import left_out
 from fiberloom.drive.way_rules import way_rule
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.instruments.model import OwnRequirement
@@ -18,11 +18,11 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Move
 from fiberloom.operation.reference.referencing import reference
+from fiberloom.operation.source import Doubting
 from fiberloom.studies.paper.focal_plane.table01_rows import Row
 from fiberloom.studies.paper.memory import forget_peak, peak_bytes
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.targets import random_targets
-from fiberloom.twin.cobras.source import CobraSource
 from fiberloom.twin.motors.arrays import AnySource, source_of
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
@@ -57,10 +57,8 @@ class InstrumentRun:
     """After each move: as `reconfiguration_s`, until its image."""
     further_um: Floats | None = None
     """As `error_um`, after `FURTHER` corrections more; None: none were made."""
-    doubtful: dict[str, str] = field(default_factory=dict)
-    """Units, by number, that may not arrive by their calibration before the field, and why."""
-    doubtful_missed: int = 0
-    """Of these so many are healthy, have a target and are not on it after the last move."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Units, by number, that got no target: by their calibration before it they cannot be counted on; why."""
 
     def on_target(self, within_um: float, move: int = -1) -> float:
         """Share of all that were assigned, faulty ones included, that are so near after a `move`."""
@@ -81,22 +79,26 @@ class InstrumentRun:
 def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     """Units drawn and calibrated, targets assigned, planned, verified, moved, corrected as the preset says.
 
+    Units that their calibration does not count on get no targets.
+
     `row` of the table; `seed` of everything; `n_units`: so many, None: as many as there are.
     """
     forget_peak()
     begun_s = time.process_time()
-    plane = generate(load_instrument(row.preset), seed, n_positioners=n_units)
+    drawn = generate(load_instrument(row.preset), seed, n_positioners=n_units)
+    source = source_of(drawn, seed, "noise")
+    doubted = finish(source.doubtful()) if isinstance(source, Doubting) else {}
+    plane = left_out(drawn, doubted) if doubted else drawn
     targets = random_targets(plane, TARGETS_PER_UNIT * len(plane), seed)
     kept, assignment = assign_relaxed(
         plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane))
     )
     target_mm = targets.xy_mm[np.maximum(assignment.target, 0)]
-    made = _FieldRun(kept, source_of(plane, seed, "noise"), assignment, target_mm)
+    made = _FieldRun(kept, source, assignment, target_mm)
     finish(made.observe(seed))
     cpu_s = time.process_time() - begun_s
     contacts = made.loop.motion.contacts_true
     errors_um, ended_s = made.errors_um(), made.ended_s()
-    doubtful_missed = made.doubtful_missed()
     finish(made.go_further(row.requirement_um))
     return InstrumentRun(
         errors_um,
@@ -109,8 +111,7 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
         peak_bytes() / BYTES_PER_GIB,
         ended_s,
         made.errors_um()[-1] if len(made.loop.moves) > len(errors_um) else None,
-        made.doubtful,
-        doubtful_missed,
+        {str(number): why for number, why in sorted(doubted.items())},
     )
 
 
@@ -131,7 +132,6 @@ class _FieldRun:
             swept = await self.source.sweep(SWEEP_POINTS, lambda done, total: None)
             maps = maps if swept is None else swept.maps
         hardware = await self.source.open()
-        self.doubtful = _doubtful(self.source, self.plane)
         motion = FieldMotion(self.plane, maps, hardware, NoRecord())
         self._begun_s = motion.drive.time_s
         await motion.connect()
@@ -150,12 +150,6 @@ class _FieldRun:
         bus_s = np.array([move.measurement.time_s for move in self.loop.moves]) - self._begun_s
         return [float(s) for s in bus_s + exposure_s * images]
 
-    def doubtful_missed(self) -> int:
-        """How many of the doubtful are healthy and farther from their target than is asked for."""
-        rows = self.plane.positioner_id[self.loop.correctable]
-        missed = self.errors_um()[-1] > self.plane.instrument.operation.requirement_um
-        return int((missed & np.isin(rows.astype(str), list(self.doubtful))).sum())
-
     def errors_um(self) -> list[Floats]:
         """True, after each move so far, of the healthy fibres with a target."""
         return [_true_error_um(move, self.target_mm, self.loop.correctable) for move in self.loop.moves]
@@ -165,16 +159,6 @@ class _FieldRun:
         missed = bool((self.errors_um()[-1] > requirement_um).any())
         if missed and not self.loop.motion.drive.model.blind:
             await self.loop.further(FURTHER)
-
-
-def _doubtful(source: AnySource, plane: FocalPlane) -> dict[str, str]:
-    """By number why units may not arrive, by their calibration before the field; empty where none has one."""
-    if not isinstance(source, CobraSource) or not source.calibrations:
-        return {}
-    operation = plane.instrument.operation
-    reach_mm, moves = plane.l_alpha_mm + plane.l_beta_mm, 1 + operation.corrections_max
-    found = doubtful(source.calibrations[0], reach_mm, operation.requirement_um, moves)
-    return {str(plane.positioner_id[row]): why for row, why in sorted(found.items())}
 
 
 def _true_error_um(move: Move, target_mm: Floats, rows: Flags) -> Floats:
