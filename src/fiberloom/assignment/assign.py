@@ -172,7 +172,7 @@ def finished(
     (C,): what blocks each (`Block`); `rules`: distances in mm; `by`: what is preferred.
     """
     rest = np.flatnonzero(~placement.placed)
-    given_up = park(placement, rest, rules, _worth(placement, targets, by))
+    given_up = park(placement, rest, rules, _worth(placement, targets, by), by.ways)
     unassigned = explain(placement, targets, found, block, given_up, rules.pair_mm)
     _note_bands(placement, targets, by)
     return _result(placement, unassigned, targets, given_up, rules)

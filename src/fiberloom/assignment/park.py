@@ -2,33 +2,39 @@
 
 import numpy as np
 
-from fiberloom.assignment.candidates import inside_stops
+from fiberloom.assignment.candidates import WayRule, inside_stops
 from fiberloom.assignment.clearance import obstacle_gap_mm, sweep
 from fiberloom.assignment.placement import NO_TARGET, Placement, Rules
 from fiberloom.instruments import FocalPlane
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 
 STEP_ALPHA_DEG, STEP_BETA_DEG = 15.0, 10.0
 """Grid of places to try."""
+BARRED = 0.01
+"""A way that is barred costs so much of a target that is given up."""
 
 
-def park(placement: Placement, rows: Ints, rules: Rules, worth: Floats) -> dict[int, int]:
+def park(
+    placement: Placement, rows: Ints, rules: Rules, worth: Floats, ways: WayRule | None = None
+) -> dict[int, int]:
     """Place positioners without a target. Returns the targets given up, and for which positioner (row)
     each was.
 
     `placement` is changed; `rows`: the positioners to place; `rules`: distances to keep. First come all
     that are free in the folded place of the instrument, then one by one the first free place of a grid.
-    Where none is free, the neighbours in the way of the place that costs least (`worth` (N,) of each
-    neighbour, dimensionless weights, summed) make room and are parked in their turn.
+    Free ones do not bar the `ways` of neighbours either. Where none is free, the neighbours in the way of the
+    place that costs least (`worth` (N,) of each neighbour, dimensionless weights, summed; a way that is
+    barred costs `BARRED` of that) make room and are parked in their turn.
     """
-    queue = _park_folded(placement, rows, rules)
+    queue = _park_folded(placement, rows, rules, ways)
     worth = worth.copy()
     given_up: dict[int, int] = {}
     while queue:
         row = queue.pop(0)
         goals, segments = _places(placement.plane, row, rules)
         near, hit = placement.hits(row, segments, rules.pair_mm)
-        best = _cheapest(row, goals, hit @ worth[near], rules)
+        bars = _barring(placement, row, goals, near, ways)
+        best = _cheapest(row, goals, (hit + BARRED * bars) @ worth[near], rules)
         if best is None:
             _leave_folded(placement, row)
             continue
@@ -41,6 +47,16 @@ def park(placement: Placement, rows: Ints, rules: Rules, worth: Floats) -> dict[
             queue.append(other)
         placement.put(row, goals[best], segments[best], rules.approach_deg)
     return given_up
+
+
+def _barring(placement: Placement, row: int, goals: Floats, near: Ints, ways: WayRule | None) -> Flags:
+    """(C, k) places `goals` (C, 2) of a positioner that bar the way of neighbours `near` (k,)."""
+    if ways is None:
+        return np.zeros((len(goals), len(near)), dtype=bool)
+    mine, theirs = np.indices((len(goals), len(near))).reshape(2, -1)
+    both = np.concatenate([np.full(len(goals), row), near])
+    goal_deg = np.concatenate([goals, placement.goal_deg[near]])
+    return ways.crossing(both, goal_deg, mine, len(goals) + theirs).reshape(len(goals), len(near))
 
 
 def _places(plane: FocalPlane, row: int, rules: Rules) -> tuple[Floats, Floats]:
@@ -73,7 +89,7 @@ def _leave_folded(placement: Placement, row: int) -> None:
     )
 
 
-def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
+def _park_folded(placement: Placement, rows: Ints, rules: Rules, ways: WayRule | None) -> list[int]:
     """Fold every positioner that can be folded; returns the others."""
     plane = placement.plane
     goals = plane.park_deg[rows]
@@ -81,7 +97,8 @@ def _park_folded(placement: Placement, rows: Ints, rules: Rules) -> list[int]:
     free = obstacle_gap_mm(plane, rows, segments, rules.bodies) >= rules.gap_mm
     others = []
     for k, row in enumerate(rows.tolist()):
-        if free[k] and not placement.hits(row, segments[k : k + 1], rules.pair_mm)[1].any():
+        near, hit = placement.hits(row, segments[k : k + 1], rules.pair_mm)
+        if free[k] and not hit.any() and not _barring(placement, row, goals[k : k + 1], near, ways).any():
             placement.put(row, goals[k], segments[k], rules.approach_deg)
         else:
             others.append(row)

@@ -18,13 +18,14 @@ from fiberloom.calibration.focal_plane.arms_file import arms_measured_C, load_ar
 from fiberloom.calibration.gravity.lead import led
 from fiberloom.calibration.gravity.sag import ArmSag
 from fiberloom.calibration.transmission.maps import TransmissionMaps
+from fiberloom.drive.pfs.calibration import left_out
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.pointing import ExposurePointing
 from fiberloom.operation.care.warm_arms import WarmArms
 from fiberloom.operation.learning import GrowthRecorder, LearningRecorder
 from fiberloom.operation.move import Recorder
-from fiberloom.operation.source import Source
+from fiberloom.operation.source import Doubting, Source
 from fiberloom.store import Run, Store
 from fiberloom.store.calibrations import note_calibration
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory
@@ -53,6 +54,8 @@ class Known:
     """By which the arms turn with the pointing of the telescope; None: not at all."""
     warmth: WarmArms | None = None
     """None: arms are taken as they were measured."""
+    doubtful: dict[int, str] = field(default_factory=dict)
+    """By number why positioners got no targets: by their calibration they cannot be counted on."""
 
     async def feel(self, source: Source, say: Callable[[str], None]) -> None:
         """Arms as long as the temperature of the positioners of `source` makes them.
@@ -65,6 +68,18 @@ class Known:
         self.plane = self.warmth.grown(self.plane)
         if self.warmth.why_not:
             say(f"arms are taken as they were measured: {self.warmth.why_not}")
+
+    async def leave_out(self, source: Source, say: Callable[[str], None]) -> None:
+        """Positioners that `source` does not count on get no targets: they stay at their stops.
+
+        `say` is told what is being done.
+        """
+        if not isinstance(source, Doubting):
+            return
+        say("calibrating motors")
+        self.doubtful = await source.doubtful()
+        if self.doubtful:
+            self.plane = left_out(self.plane, self.doubtful)
 
     def aims(self, targets: TargetList) -> TargetList:
         """The targets (N) as the frame of the camera has them, in mm: fibres are to be seen there."""
@@ -105,6 +120,8 @@ class Known:
     def summary(self) -> dict[str, Any]:
         """The entries of summary.json of what was calibrated and learnt."""
         known: dict[str, Any] = {}
+        if self.doubtful:
+            known["left_out"] = {str(number): why for number, why in sorted(self.doubtful.items())}
         if self.fibres is not None:
             frame_um = None if self.fibres.frame is None else self.fibres.frame.rms_um
             known["fibre_calibration"] = {"formal_um": self.fibres.formal_um, "frame_um": frame_um}

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self, cast
+from typing import Any, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 
@@ -75,6 +75,16 @@ class Source(Protocol):
     @property
     def true_plane(self) -> FocalPlane | None:
         """The true layout; None for a real array."""
+        ...
+
+
+@runtime_checkable
+class Doubting(Protocol):
+    """A `Source` that calibrates its motors before a field, and so knows some that will not arrive."""
+
+    async def doubtful(self) -> dict[int, str]:
+        """By number why positioners cannot be counted on; they are at their stops. Calibrates where that was
+        not done."""
         ...
 
 

@@ -13,7 +13,7 @@ from fiberloom.bus.transport import Frame, Transport
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.source import Source
+from fiberloom.operation.source import Doubting, Source
 
 SLICE_S = 0.02
 """Between two looks at the clock of the wall, at most."""
@@ -87,6 +87,10 @@ class PacedSource:
     async def sweep(self, points: int, progress: Progress) -> Calibration | None:
         """As the one inside, as quick as the machine is: `points`, `progress`."""
         return await self._inside.sweep(points, progress)
+
+    async def doubtful(self) -> dict[int, str]:
+        """As the one inside; empty where it knows of none."""
+        return await self._inside.doubtful() if isinstance(self._inside, Doubting) else {}
 
     def maps_file(self, points: int) -> Path | None:
         """As the one inside."""

@@ -70,3 +70,11 @@ def test_phi_within_a_reach():
     phi = ARMS.phi_within_deg(reach)
     np.testing.assert_allclose(ARMS.reach_mm(phi), reach, atol=1e-9)
     assert np.all(ARMS.reach_mm(phi - 5.0) < reach)
+
+
+def test_the_jacobian_is_that_of_finite_differences():
+    here, step_deg = 0.4 * ARMS.range_deg, 1e-4
+    for axis in (0, 1):
+        more = here + step_deg * (np.arange(2) == axis)
+        by_steps = (ARMS.xy_mm(more) - ARMS.xy_mm(here)) / np.deg2rad(step_deg)
+        assert np.abs(by_steps - ARMS.jacobian_mm(here)[:, :, axis]).max() < 1e-4

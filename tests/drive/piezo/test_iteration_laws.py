@@ -114,3 +114,21 @@ def test_places_are_filtered():
         law.command(true + 0.01 * rng.standard_normal(2), true, SIGMA_DEG, np.zeros(2, dtype=bool))
     assert np.sqrt(law.place_variance) == pytest.approx([0.002, 0.002], rel=0.05)
     assert np.abs(law.place_deg - true).max() < 0.006
+
+
+def test_a_wild_motor_aims_at_what_leaves_least_and_others_go_the_whole_way():
+    """By trial: of all parts of a way that a motor of this scatter may aim at, none leaves less."""
+    law = LearningLaw(even_maps(), CURVE_US)
+    law.believe(np.array([100.0, 100.0]), np.zeros(2))
+    law.trust_maps(np.array([0.05, 0.8]), ALL)
+    scatter2, way = law.scatter.variance[1], np.array([10.0, -10.0])
+    parts = np.linspace(0.0, 1.5, 1501)
+    best = parts[((1.0 - parts) ** 2 + parts**2 * scatter2).argmin()]
+    assert 0.5 < best < 0.8
+    assert law.aimed_deg(way) == pytest.approx([10.0, -10.0 * best], abs=0.01)
+
+
+def test_a_motor_that_is_not_known_yet_goes_the_whole_way():
+    law = LearningLaw(even_maps(), CURVE_US)
+    law.believe(np.array([100.0, 100.0]), np.zeros(2))
+    assert law.aimed_deg(np.array([10.0, -10.0])).tolist() == [10.0, -10.0]

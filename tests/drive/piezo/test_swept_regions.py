@@ -26,6 +26,7 @@ def motors_at(place_deg, share=0.2, sigma_deg=0.1):
     return SimpleNamespace(
         place_deg=place_deg.ravel(),
         place_variance=variance,
+        aimed_deg=lambda way: way / (1.0 + share**2),
         limited_deg=lambda way: np.clip(way, -200.0, 200.0),
         tube_deg=lambda way, sigmas: sigmas * np.sqrt(variance + (share * way) ** 2),
     )

@@ -93,3 +93,31 @@ def test_left_over_spots_go_to_those_that_can_have_come_there():
     # a spot that nobody can reach stays left over
     nobody = pair_loose(ARMS, expected, sigma, unseen, np.array([[500.0, 500.0]]))
     assert not np.isfinite(nobody).any()
+
+
+def test_of_a_nearly_straight_arm_the_fibre_is_believed_where_it_is_seen():
+    """Phi 3 deg short of straight: each angle is seen to 0.3 deg at best, the fibre to a micrometre."""
+    straight = -ARMS.zero_deg[:, 1] - 3.0
+    start = np.column_stack([np.full(N, 100.0), straight - 6.0])
+    rng, tracker = np.random.default_rng(3), tracker_at(start, 0.3)
+    at = start.copy()
+    for way in ((2.0, 4.0), (-1.0, 1.0), (0.5, -0.5)):
+        moved(tracker, np.array(way))
+        told = tracker.law.expected_deg().reshape(-1, 2)
+        at = at + (told - tracker.place_deg) * (1.0 + 0.2 * rng.standard_normal((N, 2)))
+        tracker.see(ARMS.xy_mm(at) + 0.001 * rng.standard_normal((N, 2)), 1.0)
+    off_um = 1e3 * np.hypot(*(ARMS.xy_mm(tracker.place_deg) - ARMS.xy_mm(at)).T)
+    assert np.median(off_um) < 2.0
+    assert np.percentile(off_um, 95) < 6.0
+    off_sigma = np.abs(tracker.place_deg - at) / tracker.sigma_deg
+    assert np.mean(off_sigma < 2.0) > 0.9  # what is not seen of the angles is said
+
+
+def test_images_of_a_straight_arm_that_stands_tell_no_more_of_its_angles():
+    """The sum of both is what is seen: however often, it does not tell theta from phi."""
+    place = np.column_stack([np.full(N, 100.0), -ARMS.zero_deg[:, 1] - 0.5])
+    tracker = tracker_at(place, 0.5)
+    for _ in range(6):
+        moved(tracker, np.zeros(2))
+        tracker.see(ARMS.xy_mm(place), 1.0)
+    assert np.all(tracker.sigma_deg[:, 1] > 0.3)

@@ -337,6 +337,21 @@ def test_the_makers_own_requirement_is_held_against_what_was_there_in_time(ended
     assert np.isnan(found) if expected is None else found == expected
 
 
+def test_a_row_tells_which_units_were_left_out_before_the_field(monkeypatch, written):
+    """Two of one row are; the others' rows say nothing of it. The verdict is that of those with a target."""
+
+    def made_up(row, seed, n_units):
+        out = {"152": "phi: slow", "9": "theta: wild"} if row.key == "cobra" else {}
+        return table01.InstrumentRun([np.array([1.0, 900.0])], 2, 57, 0, 0, 9.0, 7.0, 0.5, [9.0], None, out)
+
+    monkeypatch.setattr(table01, "observe", made_up)
+    _, by_id = made(table01, SimpleNamespace(given=Settings(seed=1, n_seeds=1)))
+    note = by_id["table1.cobra.within"].note
+    assert "by their calibration: 2 units, 9 (theta: wild); 152 (phi: slow)" in note
+    assert "left out" not in by_id["table1.desi.within"].note
+    assert by_id["table1.cobra.max_um"].misses
+
+
 def test_rows_of_table_1_are_made_in_processes_of_their_own_and_kept(tmp_path, monkeypatch):
     row = next(row for row in table01.TABLE_1 if row.key == "megara")
     rows = table01_kept.RowRuns(tmp_path)

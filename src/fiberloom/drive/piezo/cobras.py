@@ -120,6 +120,13 @@ class CobraArms:
         phi = rad_to_deg(between) - self.zero_deg[:, 1]
         return theta, phi + 360.0 * np.rint((0.5 * self.range_deg[:, 1] - phi) / 360.0)
 
+    def jacobian_mm(self, angle_deg: Floats) -> Floats:
+        """(n, 2, 2) mm per rad: x and y of fibres by theta and phi, at angles (n, 2) in deg."""
+        at = self.segments_mm(angle_deg)
+        theta, phi = at[:, 2:] - self.centre_mm, at[:, 2:] - at[:, :2]
+        columns = [np.column_stack([-arm[:, 1], arm[:, 0]]) for arm in (theta, phi)]
+        return np.stack(columns, axis=2)
+
     def sigma_deg(self, angle_deg: Floats, camera_um: float | Floats) -> Floats:
         """(n, 2) deg by which angles seen err, for an error of the camera in um per axis."""
         turn = deg_to_rad(self.fibre_deg(angle_deg)[:, 1])

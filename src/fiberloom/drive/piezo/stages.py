@@ -63,6 +63,10 @@ class Motors(Protocol):
         """(M,) ways in deg as far as one move goes."""
         ...
 
+    def aimed_deg(self, way_deg: Floats) -> Floats:
+        """(M,) the part of ways in deg to aim at so that least is left of them."""
+        ...
+
     def tube_deg(self, way_deg: Floats, sigmas: float) -> Floats:
         """(M,) deg that ways (M,) miss their ends by, but for as rarely as normal ones by `sigmas`."""
         ...
@@ -177,7 +181,7 @@ class Stages:
         """One for each CobraStage."""
         assert motors.place_deg is not None
         here, doubt = _by_cobra(motors.place_deg), np.sqrt(_by_cobra(motors.place_variance))
-        way = self._limited(motors, goal_deg - here)
+        way = self._limited(motors, _by_cobra(motors.aimed_deg((goal_deg - here).ravel())))
         turn, turns_safely = self._turn(motors, here, goal_deg)
         fold = np.column_stack([here[:, THETA], turn[:, PHI]])
         inside, always = self.inside(here, doubt), np.ones(len(here), dtype=bool)

@@ -7,11 +7,14 @@ does. The likeliest sequence of poses is followed (Viterbi), so a wrong choice i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fiberloom.drive.piezo.cobras import CobraArms
 from fiberloom.drive.piezo.learning import LearningLaw
 from fiberloom.typing import Flags, Floats, Ints
+from fiberloom.units import UM_PER_MM
 
 POSES = 4
 LEAST_SIGMA_DEG = 1.0
@@ -19,8 +22,19 @@ LEAST_SIGMA_DEG = 1.0
 FREEDOM = 2.0
 """Of the Student distribution of how far off moves end: some motors scatter much more than most."""
 IMPOSSIBLE = 1e6
+LINEARISED = 2
+"""So often the arm is taken to be linear: at the pose seen, then at the better one."""
 SAMPLES, FEWEST_SAMPLES = 400, 4
 """Poses that are drawn to find where a hidden fibre may be, and how many must be behind the dot."""
+
+
+class _Expected(NamedTuple):
+    """Where n cobras are expected before an image."""
+
+    place_deg: Floats
+    """(n, 2)."""
+    covariance_deg2: Floats
+    """(n, 2, 2)."""
 
 
 class Tracker:
@@ -36,6 +50,8 @@ class Tracker:
         self._rng = np.random.default_rng(seed)
         self._poses = np.zeros((n, POSES, 2))
         self._cost = np.full((n, POSES), IMPOSSIBLE)
+        self._cross = np.zeros(n)
+        """(n,) deg^2, covariances of theta and phi: what an image says of an arm that is nearly straight."""
 
     @property
     def place_deg(self) -> Floats:
@@ -55,6 +71,7 @@ class Tracker:
         self._poses[:] = place_deg[:, None]
         self._cost[:] = IMPOSSIBLE
         self._cost[:, 0] = 0.0
+        self._cross[:] = 0.0
 
     def see(self, xy_mm: Floats, camera_um: float | Floats) -> None:
         """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
@@ -63,9 +80,43 @@ class Tracker:
         self._poses, self._cost, before, pose = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
         assert self.law.place_deg is not None
         self.law.place_deg = before.ravel()
+        moved, expected = self.law.has_moved, self._expected()
         error = self.arms.sigma_deg(np.where(seen[:, None], pose, before), camera_um)
         self.law.see(np.where(seen[:, None], pose, np.nan).ravel(), error.ravel())
+        if moved:
+            self._weigh(expected, np.where(seen[:, None], xy_mm, np.nan), pose, camera_um)
+        else:
+            self._cross[seen] = 0.0
         self._look_behind_dots(~seen)
+
+    def _expected(self) -> _Expected:
+        """Where they should be now."""
+        covariance = np.zeros((len(self.arms), 2, 2))
+        covariance[:, (0, 1), (0, 1)] = self.law.innovation_sigma_deg().reshape(-1, 2) ** 2
+        covariance[:, 0, 1] = covariance[:, 1, 0] = self._cross
+        return _Expected(self.law.expected_deg().reshape(-1, 2).copy(), covariance)
+
+    def _weigh(self, before: _Expected, xy_mm: Floats, pose_deg: Floats, camera_um: float | Floats) -> None:
+        """Both angles of each cobra, from where it was expected `before` and from its image.
+
+        One by one the angles of a nearly straight arm are seen badly; the place of the fibre, which both
+        make, is seen as well as ever. `xy_mm` (n, 2) of fibres, NaN where not seen; `pose_deg` (n, 2) that
+        the image alone says; it errs by `camera_um` per axis.
+        """
+        expected, prior = before
+        seen = np.asarray(np.isfinite(xy_mm).all(axis=1), dtype=np.bool_)
+        noise = (np.broadcast_to(camera_um, seen.shape) / UM_PER_MM)[:, None, None] ** 2 * np.eye(2)
+        there = pose_deg
+        for _ in range(LINEARISED):
+            turns = self.arms.jacobian_mm(there) * np.deg2rad(1.0)
+            off_mm = xy_mm - self.arms.xy_mm(there) + np.einsum("nij,nj->ni", turns, there - expected)
+            spread = prior @ turns.transpose(0, 2, 1)
+            share = np.linalg.solve(turns @ spread + noise, spread.transpose(0, 2, 1)).transpose(0, 2, 1)
+            there = np.where(seen[:, None], expected + np.einsum("nij,nj->ni", share, off_mm), expected)
+        left = np.where(seen[:, None, None], prior - share @ turns @ prior, prior)
+        self.law.place_deg = np.clip(there, 0.0, self.arms.range_deg).ravel()
+        self.law.place_variance = np.maximum(left[:, (0, 1), (0, 1)], 0.0).ravel()
+        self._cross = left[:, 0, 1]
 
     def _follow(self, xy_mm: Floats, seen: Flags, sigma: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Poses (n, 4, 2) and their costs (n, 4) now; the best of them, and the one that it came from."""
@@ -126,5 +177,6 @@ class Tracker:
         motors = slice(2 * row, 2 * row + 2)
         self.law.place_deg[motors] = behind.mean(axis=0)
         self.law.place_variance[motors] = behind.var(axis=0) + LEAST_SIGMA_DEG**2
+        self._cross[row] = 0.0
         self._poses[row] = behind.mean(axis=0)
         self._cost[row] = np.where(np.arange(POSES) == 0, 0.0, IMPOSSIBLE)

@@ -11,7 +11,7 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
-from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras
+from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras, doubtful
 from fiberloom.drive.pfs.numbering import COBRAS
 from fiberloom.drive.piezo import MotorMaps, read_summary_maps
 from fiberloom.errors import InputError
@@ -118,6 +118,11 @@ class CobraSource:
         if self.calibrated and not self.calibrations:
             await self._calibrate()
         return self.hardware
+
+    async def doubtful(self) -> dict[int, str]:
+        """By number why cobras cannot be counted on, by their calibration; empty where there is none."""
+        await self.open()
+        return doubtful(self.calibrations[0], self.plane) if self.calibrations else {}
 
     @cached_property
     def calibrations(self) -> list[CobraCalibration]:

@@ -1,5 +1,6 @@
 """Cobras (PFS): geometry, stops and motor maps from places that a camera sees."""
 
+from fiberloom.drive.pfs.calibration.doubtful import arriving, doubtful, left_out, most_scatter
 from fiberloom.drive.pfs.calibration.maps import MapFit, Moves, fit_maps
 from fiberloom.drive.pfs.calibration.measure import (
     CobraCalibration,
@@ -17,8 +18,12 @@ __all__ = [
     "CobraSweepSettings",
     "MapFit",
     "Moves",
+    "arriving",
     "calibrate_cobras",
+    "doubtful",
     "fit_maps",
+    "left_out",
     "maps_at",
+    "most_scatter",
     "pulses_for",
 ]

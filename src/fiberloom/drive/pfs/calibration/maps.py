@@ -20,6 +20,7 @@ FEWEST_MOVES = 3
 """That count, in each direction, for a map to be believed."""
 LEAST_STEP_DEG, MOST_STEP_DEG = 0.003, 0.6
 """[A] A motor that is slower or faster has failed."""
+ODD_STEPS = f"steps are not between {LEAST_STEP_DEG:g} and {MOST_STEP_DEG:g} deg"
 LEAST_RATIO, MOST_RATIO = 0.05, 20.0
 UNIT_SD, HERE_SD = 0.2, 0.1
 """[A] How far maps were off before, of a motor and direction, and of a place beside that."""
@@ -149,8 +150,7 @@ def _odd(step_deg: Floats, reason: list[str]) -> list[str]:
     """With those motors named whose steps are no steps."""
     mean = step_deg.mean(axis=2)
     odd = np.any((mean < LEAST_STEP_DEG) | (mean > MOST_STEP_DEG), axis=1)
-    text = f"steps are not between {LEAST_STEP_DEG:g} and {MOST_STEP_DEG:g} deg"
-    return [r or (text if o else "") for r, o in zip(reason, odd, strict=True)]
+    return [r or (ODD_STEPS if o else "") for r, o in zip(reason, odd, strict=True)]
 
 
 def _scatter(ratios: Floats, passes: int) -> Floats:

@@ -35,6 +35,7 @@ FEWEST_SEEN = 8
 """Images of a motor's sweep, for its circle."""
 TRAVEL_MM = 0.1
 """[A] A fibre that stays within so much has a motor that does not turn."""
+STANDS = "does not turn"
 MOST_OFF_MM = 0.05
 """Rms of places about their circle, at most."""
 
@@ -243,7 +244,7 @@ def evaluate(
     ranges = np.column_stack([_range(_turned(theta, centre)), _range(turned)])
     places = np.stack([_turned(theta, centre), turned], axis=2)
     places[:, ~np.column_stack([_travelled(theta), _travelled(phi)])] = np.nan
-    motors = _both(before, theta, phi, places, ranges, settings)
+    motors = _with_standing(_both(before, theta, phi, places, ranges, settings), (theta, phi))
     for row, (a, b) in enumerate(zip(motors.reason[0::2], motors.reason[1::2], strict=True)):
         named = [f"{name}: {r}" for name, r in (("theta", a), ("phi", b)) if r]
         reason[row] = reason[row] or "; ".join(named)
@@ -269,6 +270,18 @@ def _travelled(sweep: CobraSweep) -> Flags:
     least, most = np.where(seen, sweep.xy_mm, np.inf), np.where(seen, sweep.xy_mm, -np.inf)
     travelled: Flags = (most.max(axis=0) - least.min(axis=0)).max(axis=1) > TRAVEL_MM
     return travelled
+
+
+def _with_standing(motors: MapFit, sweeps: tuple[CobraSweep, CobraSweep]) -> MapFit:
+    """With those motors named that were swept, and turned nothing; `sweeps` of theta and phi."""
+    stands = np.column_stack([_often_seen(sweep) & ~_travelled(sweep) for sweep in sweeps]).ravel()
+    return replace(motors, reason=[STANDS if s else r for r, s in zip(motors.reason, stands, strict=True)])
+
+
+def _often_seen(sweep: CobraSweep) -> Flags:
+    """(n,) fibres seen in so many images of a sweep that a motor that turns would have shown it."""
+    often: Flags = np.isfinite(sweep.xy_mm).all(axis=2).sum(axis=0) >= FEWEST_SEEN
+    return often
 
 
 def _why_not(circles: list[Circles]) -> list[str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fiberloom.assignment import Assignment, AssignSettings, assign_relaxed
 from fiberloom.blocking import finish
 from fiberloom.calibration.transmission.nominal import nominal_maps
+from fiberloom.drive.pfs.calibration import left_out
 from fiberloom.drive.way_rules import way_rule
 from fiberloom.instruments import FocalPlane, generate, load_instrument
 from fiberloom.instruments.model import OwnRequirement
@@ -17,6 +18,7 @@ from fiberloom.operation.loop import Loop, LoopSettings
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.move import Move
 from fiberloom.operation.reference.referencing import reference
+from fiberloom.operation.source import Doubting
 from fiberloom.studies.paper.focal_plane.table01_rows import Row
 from fiberloom.studies.paper.memory import forget_peak, peak_bytes
 from fiberloom.studies.paper.no_record import NoRecord
@@ -55,6 +57,8 @@ class InstrumentRun:
     """After each move: as `reconfiguration_s`, until its image."""
     further_um: Floats | None = None
     """As `error_um`, after `FURTHER` corrections more; None: none were made."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Units, by number, that got no target: by their calibration before it they cannot be counted on; why."""
 
     def on_target(self, within_um: float, move: int = -1) -> float:
         """Share of all that were assigned, faulty ones included, that are so near after a `move`."""
@@ -75,33 +79,39 @@ class InstrumentRun:
 def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     """Units drawn and calibrated, targets assigned, planned, verified, moved, corrected as the preset says.
 
+    Units that their calibration does not count on get no targets.
+
     `row` of the table; `seed` of everything; `n_units`: so many, None: as many as there are.
     """
     forget_peak()
     begun_s = time.process_time()
-    plane = generate(load_instrument(row.preset), seed, n_positioners=n_units)
+    drawn = generate(load_instrument(row.preset), seed, n_positioners=n_units)
+    source = source_of(drawn, seed, "noise")
+    doubted = finish(source.doubtful()) if isinstance(source, Doubting) else {}
+    plane = left_out(drawn, doubted) if doubted else drawn
     targets = random_targets(plane, TARGETS_PER_UNIT * len(plane), seed)
     kept, assignment = assign_relaxed(
         plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane))
     )
     target_mm = targets.xy_mm[np.maximum(assignment.target, 0)]
-    field = _FieldRun(kept, source_of(plane, seed, "noise"), assignment, target_mm)
-    finish(field.observe(seed))
+    made = _FieldRun(kept, source, assignment, target_mm)
+    finish(made.observe(seed))
     cpu_s = time.process_time() - begun_s
-    contacts = field.loop.motion.contacts_true
-    errors_um, ended_s = field.errors_um(), field.ended_s()
-    finish(field.go_further(row.requirement_um))
+    contacts = made.loop.motion.contacts_true
+    errors_um, ended_s = made.errors_um(), made.ended_s()
+    finish(made.go_further(row.requirement_um))
     return InstrumentRun(
         errors_um,
         assignment.n_assigned,
         len(plane),
-        field.loop.motion.collisions_verified,
+        made.loop.motion.collisions_verified,
         0 if contacts is None else contacts,
         ended_s[-1],
         cpu_s,
         peak_bytes() / BYTES_PER_GIB,
         ended_s,
-        field.errors_um()[-1] if len(field.loop.moves) > len(errors_um) else None,
+        made.errors_um()[-1] if len(made.loop.moves) > len(errors_um) else None,
+        {str(number): why for number, why in sorted(doubted.items())},
     )
 
 
@@ -121,7 +131,8 @@ class _FieldRun:
         if self.plane.instrument.drive.by_maps:
             swept = await self.source.sweep(SWEEP_POINTS, lambda done, total: None)
             maps = maps if swept is None else swept.maps
-        motion = FieldMotion(self.plane, maps, await self.source.open(), NoRecord())
+        hardware = await self.source.open()
+        motion = FieldMotion(self.plane, maps, hardware, NoRecord())
         self._begun_s = motion.drive.time_s
         await motion.connect()
         await reference(motion)

@@ -78,7 +78,8 @@ def _quantities(row: Row, runs: Sequence[InstrumentRun], failed: str) -> list[Qu
     worst = [float(r.error_um[-1].max()) for r in runs]
     on_target = [r.on_target(row.requirement_um) for r in runs]
     contacts = [float(r.contacts) for r in runs]
-    why = "; ".join(filter(None, [_by_moves(row, runs), row.why if max(worst) > row.requirement_um else ""]))
+    missed = row.why if max(worst) > row.requirement_um else ""
+    why = "; ".join(filter(None, [_by_moves(row, runs), missed, _left_out(runs)]))
     return [
         quantity(f"{key}.max_um", f"{name}: worst healthy fibre, true", max(worst), "um", Kind.REQUIREMENT,
                  paper=row.requirement_um, bound=Bound.AT_MOST, note=_note(row, runs)),
@@ -144,6 +145,15 @@ def _by_moves(row: Row, runs: Sequence[InstrumentRun]) -> str:
     least = min(len(r.error_um) for r in runs)
     shares = [np.mean([_within(r.error_um[k], row.requirement_um) for r in runs]) for k in range(least)]
     return f"after each move {', '.join(f'{100.0 * s:.1f}' for s in shares)} %" if least > 1 else ""
+
+
+def _left_out(runs: Sequence[InstrumentRun]) -> str:
+    """Which units got no target, by their calibration before the field, and why; empty: none."""
+    why = {int(name): text for r in runs for name, text in r.left_out.items()}
+    if not why:
+        return ""
+    named = "; ".join(f"{name} ({text})" for name, text in sorted(why.items()))
+    return f"left out before the assignment, not counted on by their calibration: {len(why)} units, {named}"
 
 
 def _within(error_um: Floats, requirement_um: float) -> float:

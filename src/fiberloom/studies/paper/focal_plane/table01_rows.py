@@ -73,6 +73,6 @@ TABLE_1 = (
         8.0,
         "pfs",
         "92 % within 10 um, median 5 um; 22 s an iteration",
-        "motors that scatter by half of each way need more moves",
+        "motors that scatter by half of each way need more moves, and so do those that pass a neighbour",
     ),
 )

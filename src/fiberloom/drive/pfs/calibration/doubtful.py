@@ -1,0 +1,100 @@
+"""Cobras that by their own calibration cannot be counted on to arrive: they get no targets.
+
+Moves of a motor miss by a normal share, rms s, of their way, and it aims at g = 1 / (1 + s^2) of what is
+left (`LearningLaw.aimed_deg`). So a move makes of a distance d the distance d |1 - g (1 + s z)|, z normal: a
+random walk of log d, which ends below `REST_SHARE` of what is asked for. From the reach of the arm the walk
+tells how likely the fibre is there in the moves that an instrument makes. Cobras below `SURE` are named, and
+those of which the calibration says that a motor has failed. What a field brings, or the twin knows, is not
+asked.
+"""
+
+import numpy as np
+from scipy.special import ndtr
+
+from fiberloom.drive.pfs.calibration.maps import ODD_STEPS
+from fiberloom.drive.pfs.calibration.measure import STANDS, CobraCalibration
+from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats
+from fiberloom.units import UM_PER_MM
+
+NAMES = ("theta", "phi")
+FAILED = (ODD_STEPS, STANDS)
+SURE = 0.99
+"""[A] A cobra arrives in so many fields, or it is not counted on."""
+BEFORE = 2
+"""Moves that turn theta and open phi: they bring a fibre no nearer (the published via points are as many)."""
+REST_SHARE = 0.5
+"""Of the requirement: a fibre that near stays (`CobraSettings.rest_share`)."""
+LOG_STEP = 0.1
+"""Of the walk's distances: halved, it changes shares by less than 0.1 %."""
+HALVINGS = 14
+
+
+def arriving(scatter: float, reach_mm: float, within_um: float, moves: int) -> float:
+    """Share of fields in which a motor of this `scatter`, rms of the way, dimensionless, arrives.
+
+    `reach_mm`: the distance at first; `within_um` of its target a fibre has arrived; `moves`: all of a field,
+    the first `BEFORE` bring it no nearer.
+    """
+    far = np.log(reach_mm * UM_PER_MM / within_um)
+    edges = np.arange(np.log(REST_SHARE), far + np.log(2.0) + LOG_STEP, LOG_STEP)
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    below = _below(np.exp(edges[None, :] - middle[:, None]), scatter)
+    rests, below[:, -1] = below[:, 0], 1.0  # nothing is farther than twice the reach
+    walk, there = np.zeros(len(middle)), 0.0
+    walk[np.abs(middle - far).argmin()] = 1.0
+    for _ in range(max(moves - BEFORE, 0)):
+        there += float(walk @ rests)
+        walk = walk @ np.diff(below, axis=1)
+    return there + float(walk[middle < 0.0].sum())
+
+
+def _below(ratio: Floats, scatter: float) -> Floats:
+    """Share of moves after which less than a `ratio` (...) of the distance is left."""
+    aim = 1.0 / (1.0 + scatter**2)
+    out: Floats = ndtr((ratio - 1.0 + aim) / (aim * scatter)) - ndtr((-ratio - 1.0 + aim) / (aim * scatter))
+    return out
+
+
+def most_scatter(reach_mm: float, within_um: float, moves: int) -> float:
+    """The largest scatter, rms of the way, dimensionless, of a motor that is counted on (`SURE`).
+
+    `reach_mm`, `within_um` and `moves` as of `arriving`.
+    """
+    low, high = 0.01, 2.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        sure = arriving(middle, reach_mm, within_um, moves) >= SURE
+        low, high = (middle, high) if sure else (low, middle)
+    return low
+
+
+def doubtful(found: CobraCalibration, plane: FocalPlane) -> dict[int, str]:
+    """Cobras, by number, that cannot be counted on to arrive in a field, and why.
+
+    `found` by the calibration of a `plane` of n cobras; moves and requirement are those of its instrument.
+    """
+    operation = plane.instrument.operation
+    reach_mm, moves = float(np.max(plane.l_alpha_mm + plane.l_beta_mm)), 1 + operation.corrections_max
+    limit = most_scatter(reach_mm, operation.requirement_um, moves)
+    why: dict[int, str] = {}
+    for motor, (scatter, reason) in enumerate(
+        zip(found.motors.scatter.tolist(), found.motors.reason, strict=True)
+    ):
+        row, axis = divmod(motor, 2)
+        if reason in FAILED:
+            why.setdefault(int(plane.positioner_id[row]), f"{NAMES[axis]}: {reason}")
+        elif scatter > limit:
+            text = f"{NAMES[axis]}: moves miss by {scatter:.2f} of their way, {limit:.2f} at most can arrive"
+            why.setdefault(int(plane.positioner_id[row]), f"{text} in {moves} moves")
+    return why
+
+
+def left_out(plane: FocalPlane, why: dict[int, str]) -> FocalPlane:
+    """The `plane` without the cobras of `why` (by number).
+
+    They stay folded at their stops, which they have searched before a field.
+    """
+    rows = plane.index_of(np.array(sorted(why), dtype=np.int64))
+    return plane.with_offline(sorted(why), stops_deg(plane)[0][rows])
