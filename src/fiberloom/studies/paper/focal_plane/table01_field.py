@@ -85,7 +85,7 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
         plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane))
     )
     target_mm = targets.xy_mm[np.maximum(assignment.target, 0)]
-    field = _FieldRun(kept, source_of(plane, seed, "noise"), assignment, target_mm)
+    field = _FieldRun(kept, source_of(plane, seed, row.camera), assignment, target_mm)
     finish(field.observe(seed))
     cpu_s = time.process_time() - begun_s
     contacts = field.loop.motion.contacts_true
