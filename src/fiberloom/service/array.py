@@ -19,6 +19,7 @@ from fiberloom.bus.transport import TransportLost
 from fiberloom.connect import TWIN, is_shared
 from fiberloom.errors import InputError, StoppedError, one_line
 from fiberloom.field import Field
+from fiberloom.health.status import FibreStatus
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
@@ -497,10 +498,14 @@ async def _others() -> None:
 
 
 def _told_of(seen: Observation) -> str:
+    """How an observation has ended: by its images, and on a twin in truth too, where that differs."""
     summary = seen.summary()
-    rms_um = summary["moves"][-1]["measured_rms_um"] if summary["moves"] else None
-    within = f"{summary['n_within_requirement']} of {summary['n_assigned']} fibres within the requirement"
-    return within if rms_um is None else f"{within}, {rms_um:.2f} um rms as measured"
+    within, truly = seen.final.status.count(FibreStatus.ON_TARGET), summary["n_within_requirement"]
+    rms_um = summary["moves"][-1]["measured_rms_um"]
+    told = [f"{within} of {summary['n_assigned']} fibres within the requirement"]
+    told += [] if rms_um is None else [f"{rms_um:.2f} um rms as measured"]
+    told += [] if truly == within else [f"in the truth of the twin {truly}"]
+    return ", ".join(told)
 
 
 def _told_of_session(report: SessionReport) -> str:
