@@ -16,6 +16,7 @@ constexpr int least_affordable = 4; // steps in conflict
 // as many as the second one of two. All of a round together take about half a second at
 // most, and as much when paths are hurried.
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
+constexpr int flood_nodes = 16000;
 constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
@@ -155,7 +156,7 @@ bool Repair::rounds(int most) {
     std::int64_t since = expansions();
     int in_vain = 0; // repairs
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
-        if (in_vain++ > most_repairs_in_vain()) break;
+        if (in_vain++ > most_repairs_in_vain() || hopeless_) break;
         if (enough() && k >= last_rounds) break;
         const auto all = pairs();
         if (all.empty()) return true;
@@ -387,8 +388,11 @@ void Repair::joint_round(Pair pair) {
     forget_paths(group.members);
     const int most_nodes = joint_nodes(joint);
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
-    const bool found = paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    const bool by_flood = joint.size() == 2 && (last_steps_ == 0 || random_.chance(50));
+    const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
+                                : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
     joint_left_ -= joint_.nodes();
+    if (by_flood && !found && last_steps_ == 0) hopeless_ = hopeless_ || !paths_.may_arrive(joint);
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);
     const List<PathIndex> others = drawn_in(joint, group);
@@ -460,6 +464,7 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
     bool done = paths_.seek(last, {}, any_cost, {}, search_);
     if (done) {
         paths_.count_conflicts(last);
+        hopeless_ = false;
         done = rounds(static_cast<int>(effort_ * most_repairs));
     }
     paths_.end_changes(done);

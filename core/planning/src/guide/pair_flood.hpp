@@ -1,0 +1,96 @@
+// From which cells, at which steps, two positioners still get to their goals in time: both at once, past each
+// other and past all others, whose motion is given.
+//
+// A flood of both grids at once, back in time from the goals: a bit for each two cells, 64 to a word, all
+// moves of a step by shifts. It sees arms in mid-step alone, as the guide of a single search does, and no
+// changes of speed. So where it finds nothing there is hardly a way, and a search that keeps to it seldom
+// goes astray.
+#pragma once
+
+#include "guide/blocked_cells.hpp"
+
+#include <cstdint>
+#include <functional>
+
+namespace fl::planning {
+
+// One of the two.
+class FloodSide {
+  public:
+    static constexpr int most_alphas = 64; // lines, a bit each; of more, those far from its way are left out
+
+    // from_goal: steps past the bodies at rest, of each cell.
+    void begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal);
+    // Others are in the way of these cells at a step.
+    void block(int step, const BlockedLines &cells);
+
+    int betas() const { return betas_; }
+    int deadline() const { return deadline_; }
+    Cell start() const { return start_; }
+    Cell goal() const { return goal_; }
+    int first_alpha() const { return first_alpha_; }
+    int end_alpha() const { return first_alpha_ + alphas_; }
+    // A bit for each line of alpha.
+    std::uint64_t free(int beta, int step) const { return still_free_[beta] & ~busy_[step * betas_ + beta]; }
+    bool free(Cell c, int step) const { return (free(c.beta, step) >> (c.alpha - first_alpha_) & 1) != 0; }
+    std::uint64_t word(const CellBlock *line) const;
+    int blocks() const { return blocks_; }
+
+  private:
+    Cell start_, goal_;
+    int deadline_ = 0, betas_ = 0, first_alpha_ = 0, alphas_ = 0, blocks_ = 0;
+    List<std::uint64_t> still_free_; // of each line of beta: past the bodies at rest
+    List<std::uint64_t> busy_;       // of each step, of each line of beta
+};
+
+class PairFlood {
+  public:
+    FloodSide &side(int which) { return sides_[which]; }
+    // touching: the cells of the second one that touch the first one at a cell.
+    using Touching = std::function<BlockedLines(Cell)>;
+    // Whether both can get from their starts to their goals in so many steps; false as well if there are too
+    // many cells.
+    bool run(int steps, const Touching &touching);
+    // Whether they can from these cells at this step.
+    bool holds(int step, Cell first, Cell second) const;
+    // From which step on the goal of one is free to the end.
+    int rest_from(int which) const;
+
+  private:
+    static constexpr std::int64_t most_words = 24'000'000;
+
+    // Lines of both axes, the ends not among them.
+    struct Box {
+        int alpha, end_alpha, beta, end_beta;
+        int width() const { return end_alpha - alpha; }
+        int lines() const { return end_beta - beta; }
+        int place(Cell c) const { return (c.beta - beta) * width() + c.alpha - alpha; }
+        bool holds(Cell c) const {
+            return c.alpha >= alpha && c.alpha < end_alpha && c.beta >= beta && c.beta < end_beta;
+        }
+    };
+    // Of a step: the cells at which each may be. A word for each cell of the first one and each line of beta
+    // of the second, from begin on.
+    struct Layer {
+        Box first, second;
+        std::int64_t begin = 0;
+        std::int64_t words() const {
+            return static_cast<std::int64_t>(first.width()) * first.lines() * second.lines();
+        }
+    };
+    static Box box(const FloodSide &side, int step);
+    bool lay_out(int steps);
+    const std::uint64_t *apart_from(Cell first, const Touching &touching);
+    void spread_second(const Layer &from, const Layer &to);
+    void spread_alpha(const Layer &from, const Layer &to);
+    bool step_back(int step, const Touching &touching);
+
+    FloodSide sides_[2];
+    List<Layer> layers_; // of each step
+    List<std::uint64_t> words_;
+    List<std::uint64_t> spread_, wide_; // a step back: by moves of the second one; and by alpha of the first
+    List<std::uint64_t> apart_;         // lines of the second one for each cell of the first, once asked for
+    List<int> apart_at_;                // where they begin; -1: not asked for
+};
+
+} // namespace fl::planning
