@@ -159,7 +159,7 @@ def test_instruments_may_override_plant_parameters():
 
 
 def test_memory_per_positioner():
-    """All that is the twin's own, the firmware's state beside it; what a law needs only where it is wanted."""
+    """All that is the twin's own beside the firmware's state; what a law needs only where it is wanted."""
     twin = Twin(PLANE, UNITS, threads=1)
     assert 4096 < twin._core.bytes_per_positioner < 5750
 
