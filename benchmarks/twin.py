@@ -169,7 +169,7 @@ def scale(numbers, seconds):
 
 
 def bytes_per_axis(plane, units):
-    """Of the twin; and with the firmware's own state."""
+    """Of the twin, all that it holds; the firmware's own state is not in it."""
     twin = Twin(plane, units, seed=1, threads=1)
     return twin._core.bytes_per_positioner // 2
 
