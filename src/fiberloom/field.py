@@ -476,15 +476,13 @@ class Field:
         )
         self._observer.begun_s = self.begun_s
         if self.book is None:
-            await known.feel(self.source, self.watcher.say)
-            await known.leave_out(self.source, self.watcher.say)
+            await known.ask(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
         session = await beside(self._session, known.plane, known.maps, self.book)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
-            await known.feel(self.source, self.watcher.say)
-            await known.leave_out(self.source, self.watcher.say)
+            await known.ask(self.source, self.watcher.say)
             return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(

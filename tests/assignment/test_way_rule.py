@@ -48,6 +48,53 @@ def test_ways_out_do_not_cross_and_hardly_a_target_is_lost():
     assert free.n_assigned >= any_.n_assigned - 4
 
 
+def barred_by_parked(assigned):
+    """Pairs of which the first, on its way to 6 deg beyond its target, comes too near the second, parked."""
+    from fiberloom._core.geometry import segment_distance
+
+    arms, low, has = CobraArms.of(PLANE), stops_deg(PLANE)[0], assigned.target >= 0
+    goal = assigned.goal_deg - low
+    beyond = np.minimum(goal[:, 1] + 6.0, arms.range_deg[:, 1])
+    ways = [
+        arms.segments_mm(np.column_stack([goal[:, 0], share * beyond])) for share in np.linspace(0.0, 1.0, 60)
+    ]
+    parked, pairs = arms.segments_mm(goal), PLANE.neighbour_pairs()
+    return [
+        (i, j)
+        for i, j in np.vstack([pairs, pairs[:, ::-1]]).tolist()
+        if has[i] and not has[j]
+        if min(segment_distance(way[[i]], parked[[j]])[0] for way in ways) < 2.0 * PLANE.collision_buffer_mm
+    ]
+
+
+def test_the_parked_do_not_bar_ways(monkeypatch):
+    """Where they are folded as the instrument says an elbow stands in a neighbour's way; so it is turned."""
+    targets, ways = random_targets(PLANE, 150, seed=0), AssignSettings(ways=way_rule(PLANE))
+    found = assign(PLANE, targets, settings=ways)
+    assert barred_by_parked(found) == []
+    monkeypatch.setattr(
+        "fiberloom.assignment.park._barring", lambda p, row, goals, near, w: np.zeros((len(goals), len(near)))
+    )
+    before = assign(PLANE, targets, settings=ways)
+    assert barred_by_parked(before) == [(76, 75)]
+    assert before.n_assigned == found.n_assigned
+
+
+def test_a_motor_that_scatters_gets_more_room_beyond_its_target():
+    """No room beyond a cobra that goes out: one of phi 0.5 has 30 deg, and meets what it would not else."""
+    scatter = np.full((len(PLANE), 2), 0.05)
+    wild, unknown = scatter.copy(), np.full_like(scatter, np.nan)
+    wild[:, 1] = 0.5
+    goal = np.column_stack([np.linspace(0.0, 350.0, len(PLANE)), np.full(len(PLANE), -60.0)])
+    pairs, rows = PLANE.neighbour_pairs(), np.arange(len(PLANE))
+    found = [
+        int(way_rule(PLANE, how).crossing(rows, goal, *pairs.T).sum())
+        for how in (None, unknown, scatter, wild)
+    ]
+    assert found[0] == found[1] == found[2]
+    assert found[3] > found[0]
+
+
 def test_no_target_is_behind_a_dot():
     assigned = assign(PLANE, TARGETS, settings=AssignSettings(ways=way_rule(PLANE)))
     has = assigned.target >= 0

@@ -299,6 +299,7 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
         budget_line,
         drift_line,
         guiding_lines,
+        left_out_line,
         observation_table,
         series_lines,
         shortfall,
@@ -325,6 +326,8 @@ def print_observation(summary: dict[str, Any], required: float = 0.0) -> None:
     if "referenced" in summary:
         how = ", ".join(f"{n} {how}" for how, n in summary["referenced"].items() if n)
         console.print(f"no datum was on record, positioners were referenced first: {how}")
+    if line := left_out_line(summary.get("left_out", {})):
+        say(console, line)
     for note in summary["notes"]:
         say(console, f"note: {note}")
     if "learnt" in summary:

@@ -8,10 +8,17 @@ from fiberloom.assignment.candidates import WayRule
 from fiberloom.drive.desi.maps.reach import SureReach
 from fiberloom.drive.piezo.ways_out import WaysOut
 from fiberloom.instruments import FocalPlane
+from fiberloom.typing import Floats
 
 
-def way_rule(plane: FocalPlane) -> WayRule | None:
-    """The rule for the targets of a `plane`; None: its drive finds a way to all that do not touch."""
-    rules: dict[str, Callable[[FocalPlane], WayRule]] = {"pfs": WaysOut.of, "desi": SureReach.of}
+def way_rule(plane: FocalPlane, scatter: Floats | None = None) -> WayRule | None:
+    """The rule for the targets of a `plane`; None: its drive finds a way to all that do not touch.
+
+    `scatter` (N, 2): rms by which moves of both motors miss, of their way, as calibrated; None: not known.
+    """
+    rules: dict[str, Callable[[FocalPlane], WayRule]] = {
+        "pfs": lambda known: WaysOut.of(known, scatter),
+        "desi": SureReach.of,
+    }
     rule = rules.get(plane.instrument.drive.protocol)
     return None if rule is None else rule(plane)

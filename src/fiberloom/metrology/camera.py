@@ -12,7 +12,10 @@ from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
 
 FAR = 6.0
-"""Times the scatter: a place in one image that is farther from the median of three and more is none."""
+"""Times the scatter: a place in one image that is farther from the median of three and more is none, where
+most of the others agree."""
+OTHER_MM = 0.1
+"""[A] Farther than that from the median is another light, whatever the others say: air moves fibres less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +89,11 @@ class SeveralImages:
         return UM_PER_MM * float(np.sqrt(self._factor(self._believed_mm(), unit)))
 
     def _believed_mm(self) -> Floats:
-        """(images, N, 2); NaN where not seen, or far from where the others see it: another light."""
+        """(images, N, 2); NaN where not seen, or far from where the others see it: another light.
+
+        Air moves the fibres of a region alike, and in each image otherwise: there no two images agree, and
+        none of them is wrong.
+        """
         xy_mm = np.stack([image.xy_mm for image in self.images])
         if len(xy_mm) < 3:
             return xy_mm
@@ -95,7 +102,9 @@ class SeveralImages:
         middle = np.nanmedian(np.where(shown[:, None], xy_mm, 0.0), axis=0)
         off_mm: Floats = np.hypot(*np.moveaxis(xy_mm - middle, -1, 0))
         usual_mm = np.nanmedian(off_mm[:, shown]) if shown.any() else np.inf
-        return np.where((off_mm > FAR * usual_mm)[..., None], np.nan, xy_mm)
+        far = off_mm > FAR * usual_mm
+        agree = 2 * (np.isfinite(off_mm) & ~far).sum(axis=0) >= len(xy_mm)
+        return np.where((far & (agree | (off_mm > OTHER_MM)))[..., None], np.nan, xy_mm)
 
     def _told_mm2(self) -> Floats:
         """(N, 2, 2) noise of one image as the camera tells it; of rms 1 mm for all where it tells none."""

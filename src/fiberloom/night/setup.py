@@ -148,7 +148,7 @@ class NightSetup:
 
     def assign(self, targets: TargetList) -> tuple[FocalPlane, Assignment]:
         """Which positioner takes which of the `targets`, as an observation would."""
-        how = AssignSettings(ways=way_rule(self.known.plane))
+        how = AssignSettings(ways=way_rule(self.known.plane, self.known.scatter))
         return assign_relaxed(self.known.plane, self.known.aims(targets), seed=self.seed, settings=how)
 
     def assigned(

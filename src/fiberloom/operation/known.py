@@ -56,6 +56,16 @@ class Known:
     """None: arms are taken as they were measured."""
     doubtful: dict[int, str] = field(default_factory=dict)
     """By number why positioners got no targets: by their calibration they cannot be counted on."""
+    scatter: Floats | None = None
+    """(N, 2) rms by which moves of both motors miss, of their way, as calibrated; None: not known."""
+
+    async def ask(self, source: Source, say: Callable[[str], None]) -> None:
+        """What `source` tells before targets are assigned: how warm it is, and which motors not to count on.
+
+        `say` is told what is being done, and why something is not known.
+        """
+        await self.feel(source, say)
+        await self.leave_out(source, say)
 
     async def feel(self, source: Source, say: Callable[[str], None]) -> None:
         """Arms as long as the temperature of the positioners of `source` makes them.
@@ -77,7 +87,7 @@ class Known:
         if not isinstance(source, Doubting):
             return
         say("calibrating motors")
-        self.doubtful = await source.doubtful()
+        self.doubtful, self.scatter = await source.doubtful(), source.scatter()
         if self.doubtful:
             self.plane = left_out(self.plane, self.doubtful)
 

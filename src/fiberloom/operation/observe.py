@@ -257,7 +257,7 @@ class Observer:
         if self.assigned is not None:
             return self.assigned
         aims = self.known.aims(targets)
-        how = AssignSettings(strict=settings.strict, ways=way_rule(self.known.plane))
+        how = AssignSettings(strict=settings.strict, ways=way_rule(self.known.plane, self.known.scatter))
         kept, found = assign_relaxed(
             self.known.plane, aims, seed=settings.seed, start_deg=here_deg, settings=how
         )

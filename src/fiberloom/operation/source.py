@@ -31,6 +31,7 @@ from fiberloom.hardware import Guider, Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Camera
 from fiberloom.operation.safety.stop import to_its_end
+from fiberloom.typing import Floats
 
 FPGA = "fpga://"
 """Before the address of the boards of PFS."""
@@ -85,6 +86,11 @@ class Doubting(Protocol):
     async def doubtful(self) -> dict[int, str]:
         """By number why positioners cannot be counted on; they are at their stops. Calibrates where that was
         not done."""
+        ...
+
+    def scatter(self) -> Floats | None:
+        """(N, 2) rms by which moves of both motors miss, of their way, as calibrated; NaN, or None: not
+        known."""
         ...
 
 

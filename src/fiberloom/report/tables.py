@@ -260,6 +260,16 @@ def temperature_line(temperature: Mapping[str, Any]) -> str:
     return "; but ".join(filter(None, [line, temperature["contradiction"]]))
 
 
+def left_out_line(left_out: Mapping[str, str]) -> str:
+    """Positioners that got no target, by number, as their calibration does not count on them; empty: none."""
+    if not left_out:
+        return ""
+    return (
+        f"left out before the assignment, not counted on by their calibration: {len(left_out)} positioners, "
+        f"{', '.join(left_out)} (why: left_out in summary.json)"
+    )
+
+
 def shortfall(summary: Mapping[str, Any], required: float) -> list[str]:
     """What keeps an observation below the `required` share (0 to 1), in lines; none where it is not.
 

@@ -14,6 +14,7 @@ from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.source import Doubting, Source
+from fiberloom.typing import Floats
 
 SLICE_S = 0.02
 """Between two looks at the clock of the wall, at most."""
@@ -91,6 +92,10 @@ class PacedSource:
     async def doubtful(self) -> dict[int, str]:
         """As the one inside; empty where it knows of none."""
         return await self._inside.doubtful() if isinstance(self._inside, Doubting) else {}
+
+    def scatter(self) -> Floats | None:
+        """As the one inside; None where it knows none."""
+        return self._inside.scatter() if isinstance(self._inside, Doubting) else None
 
     def maps_file(self, points: int) -> Path | None:
         """As the one inside."""

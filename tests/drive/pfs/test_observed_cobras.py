@@ -97,3 +97,32 @@ def test_the_exit_code_counts_what_was_assigned(tmp_path, monkeypatch, capsys, f
     assert dead[0] <= len(summary["faults"].get("dead", [])) <= dead[1]
     assert summary["contacts_true"] == 0
     assert "within" in capsys.readouterr().out
+
+
+def test_those_that_a_calibration_does_not_count_on_get_no_target_and_are_named(
+    tmp_path, monkeypatch, capsys
+):
+    """Seven stand still: their calibration says so before the assignment, and all others are observed."""
+    plane = pfs_plane(114)
+    source = CobraSource(plane, SEED, "noise")
+    stuck(source)
+    ids = plane.positioner_id[source.array.stuck]
+    monkeypatch.setattr("fiberloom.connect.open_hardware", lambda *_, **__: source)
+    monkeypatch.setattr(ObservationOptions, "plane", lambda _: plane)
+    write_targets(random_targets(plane, 700, seed=SEED), tmp_path / "targets.csv")
+    options = ObservationOptions(
+        targets=tmp_path / "targets.csv", instrument="pfs", out=tmp_path / "run", camera="noise", seed=SEED
+    )
+    assert observe(options) == 0
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert set(map(str, ids)) <= set(summary["left_out"])
+    assert summary["left_out"][str(ids[0])].endswith("does not turn")
+    assert len(summary["left_out"]) < 12
+    assert summary["n_assigned"] <= 114 - len(summary["left_out"])
+    assert "dead" not in summary["faults"]
+    assert summary["contacts_true"] == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        f"left out before the assignment, not counted on by their calibration: {len(summary['left_out'])}"
+        in said
+    )

@@ -121,3 +121,14 @@ def test_images_of_a_straight_arm_that_stands_tell_no_more_of_its_angles():
         moved(tracker, np.zeros(2))
         tracker.see(ARMS.xy_mm(place), 1.0)
     assert np.all(tracker.sigma_deg[:, 1] > 0.3)
+
+
+def test_images_of_a_fibre_that_stands_are_averaged():
+    """Nine images of 2 um: the last one alone would be off by 2.5 um in the median, their mean by a third."""
+    place = np.column_stack([np.full(N, 120.0), 0.5 * ARMS.range_deg[:, 1]])
+    rng, tracker = np.random.default_rng(5), tracker_at(place, 0.5)
+    for _ in range(9):
+        moved(tracker, np.zeros(2))
+        tracker.see(ARMS.xy_mm(place) + 0.002 * rng.standard_normal((N, 2)), 2.0)
+    off_um = 1e3 * np.hypot(*(ARMS.xy_mm(tracker.place_deg) - ARMS.xy_mm(place)).T)
+    assert np.median(off_um) < 1.2

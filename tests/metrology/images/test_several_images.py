@@ -49,6 +49,27 @@ def test_noise_of_one_image_is_found():
     assert np.isnan(several(1, 2.0).noise_um())
 
 
+def test_fibres_that_air_moves_in_each_image_otherwise_are_seen():
+    """Three images of a region that the air shifts by 0, 12 and -12 um, noise 1 um: no light is another."""
+    taken = several(3, 1.0)
+    shifted = [
+        dataclasses.replace(image, x_mm=image.x_mm + np.where(np.arange(N) < 20, shift_mm, 0.0))
+        for image, shift_mm in zip(taken.images, (0.0, 0.012, -0.012), strict=True)
+    ]
+    mean = SeveralImages(shifted).mean()
+    assert mean.seen.all()
+    assert 1e3 * np.abs(mean.xy_mm[:20]).max() < 3.0
+
+
+def test_two_other_lights_of_three_are_no_place():
+    taken = several(3, 1.0)
+    astray = [
+        dataclasses.replace(image, x_mm=image.x_mm + np.where(np.arange(N) < 5, shift_mm, 0.0))
+        for image, shift_mm in zip(taken.images, (0.0, 3.0, -3.0), strict=True)
+    ]
+    assert not SeveralImages(astray).mean().seen[:5].any()
+
+
 def test_light_of_something_else_in_one_image_is_left_out():
     taken = several(4, 1.0)
     stray = dataclasses.replace(

@@ -355,8 +355,13 @@ class CobraDrive:
         return Results({i: Result(i, OUTCOMES[how]) for i, how in zip(ids, result.ended, strict=True)})
 
     def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
-        """None: the last image alone is what tells. `goal_deg` (N, 2) and `last`: not used."""
-        return None
+        """(N,) seen, and by all images since they moved so near to goals (N, 2) in deg that they rest.
+
+        One that the next images show to be farther moves again; `last`: not used.
+        """
+        seen = np.isfinite(self._seen_mm).all(axis=1)
+        arrived: Flags = seen & self._rests(goal_deg - stops_deg(self.plane)[0])
+        return arrived
 
     async def settle(self, ids: list[int]) -> None:
         """Nothing is to be done: cobras stand."""

@@ -77,7 +77,9 @@ class Tracker:
         """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
         seen = np.asarray(np.isfinite(xy_mm).all(axis=1), dtype=np.bool_)
         sigma = self.law.innovation_sigma_deg().reshape(-1, 2)
-        self._poses, self._cost, before, pose = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
+        before, best = self._follow(xy_mm, seen, np.maximum(sigma, LEAST_SIGMA_DEG))
+        rows = np.arange(len(self.arms))
+        pose = self._poses[rows, best]
         assert self.law.place_deg is not None
         self.law.place_deg = before.ravel()
         moved, expected = self.law.has_moved, self._expected()
@@ -87,6 +89,8 @@ class Tracker:
             self._weigh(expected, np.where(seen[:, None], xy_mm, np.nan), pose, camera_um)
         else:
             self._cross[seen] = 0.0
+        # all images so far tell where the likeliest track is, not the last one alone
+        self._poses[rows, best] = self.place_deg
         self._look_behind_dots(~seen)
 
     def _expected(self) -> _Expected:
@@ -118,8 +122,8 @@ class Tracker:
         self.law.place_variance = np.maximum(left[:, (0, 1), (0, 1)], 0.0).ravel()
         self._cross = left[:, 0, 1]
 
-    def _follow(self, xy_mm: Floats, seen: Flags, sigma: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Poses (n, 4, 2) and their costs (n, 4) now; the best of them, and the one that it came from."""
+    def _follow(self, xy_mm: Floats, seen: Flags, sigma: Floats) -> tuple[Floats, Ints]:
+        """New poses and costs; the pose (n, 2) that the best one came from, and which (n,) is the best."""
         told = (self.law.expected_deg() - self.place_deg.ravel()).reshape(-1, 2)
         expected = np.clip(self._poses + told[:, None], 0.0, self.arms.range_deg[:, None])
         poses, possible = self._candidates(xy_mm, expected, seen)
@@ -130,7 +134,8 @@ class Tracker:
         cost = total.min(axis=1)
         best = cost.argmin(axis=1)
         before = self._poses[rows, came_from[rows, best]]
-        return poses, cost - cost.min(axis=1, keepdims=True), before, poses[rows, best]
+        self._poses, self._cost = poses, cost - cost.min(axis=1, keepdims=True)
+        return before, best
 
     def _candidates(self, xy_mm: Floats, expected: Floats, seen: Flags) -> tuple[Floats, Flags]:
         """(n, 4, 2) poses at which a fibre is where it was seen, else as expected; and which are possible."""

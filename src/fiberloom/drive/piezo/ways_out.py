@@ -20,6 +20,9 @@ BESIDE_DOT_MM = 0.05
 """[A] A fibre that near to its dot may be cut off by it."""
 ROOM_DEG = 6.0
 """[A] Beside theta and beyond phi of a target: what motors may miss when they go out."""
+ROOM_OF_SCATTER_DEG = 60.0
+"""[A] Times the scatter of phi: room beyond its target, so that the last 17 deg can be one way (3.5 sigmas).
+With less a wild motor goes a part of what is left time and again, and is not there after the last move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +38,21 @@ class WaysOut:
     """(n, 2) where these are, from their stops."""
     dots_mm: Floats | None
     """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
+    room_deg: Floats
+    """(n, 2) beside theta and beyond phi of a target."""
 
     @classmethod
-    def of(cls, plane: FocalPlane) -> WaysOut:
-        """Those of a `plane` with its fiducials and its offline cobras."""
-        low = stops_deg(plane)[0]
+    def of(cls, plane: FocalPlane, scatter: Floats | None = None) -> WaysOut:
+        """Those of a `plane` with its fiducials and its offline cobras.
+
+        `scatter` (n, 2): rms by which moves of theta and phi miss, of their way, by a calibration; NaN, or
+        None: not known.
+        """
+        low, room = stops_deg(plane)[0], np.full((len(plane), 2), ROOM_DEG)
+        if scatter is not None:
+            room[:, 1] = np.fmax(ROOM_DEG, ROOM_OF_SCATTER_DEG * scatter[:, 1])
         check = SweptCheck.of(CobraArms.of(plane), plane.fiducials)
-        return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm)
+        return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm, room)
 
     def blocks(self, positioner: Ints, goal_deg: Floats) -> Ints:
         """(C,) `Block.POCKET` where the way out meets what does not move, `Block.DARK` behind a dot.
@@ -91,5 +102,6 @@ class WaysOut:
     def _boxes(self, positioner: Ints, goal_deg: Floats) -> Floats:
         """(C, 2, 2) from the folded arm to the goal, with room."""
         goal, top = goal_deg - self.low_deg[positioner], self.check.arms.range_deg[positioner]
-        low = np.column_stack([goal[:, 0] - ROOM_DEG, np.zeros(len(goal))])
-        return box_of(np.clip(low, 0.0, top), np.clip(goal + ROOM_DEG, 0.0, top))
+        room = self.room_deg[positioner]
+        low = np.column_stack([goal[:, 0] - room[:, 0], np.zeros(len(goal))])
+        return box_of(np.clip(low, 0.0, top), np.clip(goal + room, 0.0, top))

@@ -26,6 +26,7 @@ from fiberloom.twin.cobras.streams import VirtualBoards
 from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import check_camera, draw_faults
 from fiberloom.twin.sky.guider import TwinGuider
+from fiberloom.typing import Floats
 
 KIND = "cobras of the twin begin at home; their arms and dots are those of the layout"
 
@@ -123,6 +124,10 @@ class CobraSource:
         """By number why cobras cannot be counted on, by their calibration; empty where there is none."""
         await self.open()
         return doubtful(self.calibrations[0], self.plane) if self.calibrations else {}
+
+    def scatter(self) -> Floats | None:
+        """(N, 2) of theta and phi, as calibrated; None before."""
+        return self.calibrations[0].motors.scatter.reshape(-1, 2) if self.calibrations else None
 
     @cached_property
     def calibrations(self) -> list[CobraCalibration]:

@@ -87,11 +87,11 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     begun_s = time.process_time()
     drawn = generate(load_instrument(row.preset), seed, n_positioners=n_units)
     source = source_of(drawn, seed, row.camera)
-    doubted = finish(source.doubtful()) if isinstance(source, Doubting) else {}
+    doubted, scatter = _doubted(source)
     plane = left_out(drawn, doubted) if doubted else drawn
     targets = random_targets(plane, TARGETS_PER_UNIT * len(plane), seed)
     kept, assignment = assign_relaxed(
-        plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane))
+        plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane, scatter))
     )
     target_mm = targets.xy_mm[np.maximum(assignment.target, 0)]
     made = _FieldRun(kept, source, assignment, target_mm)
@@ -113,6 +113,13 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
         made.errors_um()[-1] if len(made.loop.moves) > len(errors_um) else None,
         {str(number): why for number, why in sorted(doubted.items())},
     )
+
+
+def _doubted(source: AnySource) -> tuple[dict[int, str], Floats | None]:
+    """Units that a calibration does not count on, and the scatter (N, 2) of all; none where none is made."""
+    if not isinstance(source, Doubting):
+        return {}, None
+    return finish(source.doubtful()), source.scatter()
 
 
 class _FieldRun:
