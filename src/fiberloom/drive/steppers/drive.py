@@ -232,7 +232,8 @@ class StepperDrive:
             pair = [row, int(self.plane.index_of(int(one.other)))] if one.other.isdigit() else [row]
             mover = next((k for k in reversed(pair) if moves[k]), None)
             if mover is not None and one not in found.contacts and not any(k in met for k in pair):
-                met[mover] = f"its way comes too near to another arm: {one}"
+                near = one.other.isdigit()
+                met[mover] = f"its way {'comes too near to another arm' if near else 'is not safe'}: {one}"
         return met
 
     def _plan(self, wanted: Wanted, legs: list[Leg], refused: dict[int, str]) -> Plan:

@@ -95,7 +95,7 @@ class SessionMotion(FieldMotion):
         """
         ids, known = self.plane.positioner_id, await self._places()
         self._known = known
-        if not self.drive.model.reports:  # what was added up is believed, where the hardware says so
+        if not self.has_client:  # what was added up is believed, where the hardware says so
             self._reported = answered.copy()
             await self.step(Step.ANSWER)
             return await super()._vouched(answered)
@@ -253,7 +253,7 @@ class SessionMotion(FieldMotion):
     @property
     def collided(self) -> list[int]:
         """Positioners that said in this command that they had collided, and are not where they should be."""
-        if not self.drive.model.reports:  # they tell nothing
+        if not self.has_client:  # what MOONS' units have met is freed and told by their drive
             return []
         if not self.client.collisions or not self.moves or not self.moves[-1].interrupted:
             return []

@@ -294,7 +294,7 @@ class HeldArray:
 
 async def _searching(motion: SessionMotion, rows: Ints) -> Homing | StopSearch:
     """The search of the positioners in `rows`, as their motors need it."""
-    if motion.drive.model.reports:
+    if motion.has_client:
         return Homing(motion, rows)
     await fold(motion)
     return StopSearch(motion, rows)
