@@ -67,7 +67,7 @@ class ServedNight:
 
     def start(self) -> None:
         """Begins to show the night."""
-        self._store = Store.open(self.array.place.store)
+        self._store = Store.open(self.array.place.record)
         self._thread.start()
 
     def close(self) -> None:
@@ -190,6 +190,7 @@ class ServedNight:
             field.command_line,
             field.seed,
             virtual=array.bus.startswith(TWIN),
+            database=array.place.database,
             witness=array.live,
             control=NightControl(),
             begun=self._begun,
