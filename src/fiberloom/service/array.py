@@ -399,7 +399,7 @@ class ServedArray:
                 if self.live.heard:
                     self.alarms.looked_again(running.begun)
             self._look_at_state()
-            self._propose()
+            self.propose()
             self.alarms.clear("store", "store")  # all of this was written
         except InputError as error:
             self.alarms.raise_("store", "store", str(error))
@@ -438,8 +438,9 @@ class ServedArray:
                 self.alarms.raise_(code, "array", text or "arms have touched")
         self.hub.publish("array", now)
 
-    def _propose(self) -> None:
-        """What health says of those that a person has not excluded yet."""
+    def propose(self) -> None:
+        """Health judges the runs that have ended since; what it says of those that a person has not excluded
+        yet is an alarm."""
         self.health.follow()
         excluded = {e.positioner_id for e in self.book.exclusions()}
         found = self.health.proposals().items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 from fiberloom.assignment.relax import relaxed_planes
@@ -22,14 +23,18 @@ class HealthFollower:
     def __init__(self, plane: FocalPlane, place: Place) -> None:
         """`plane`: of the positioners; `place`: where the runs are kept."""
         self._monitor, self._place, self._done = HealthMonitor(plane), place, 0
+        self._lock = threading.Lock()
         self._hashes = {p.config_hash() for p in (plane, *relaxed_planes(plane))}
         self._found: dict[int, Finding] = {}
         self._states: dict[int, str] = {}
 
     def follow(self) -> None:
-        """Reads the runs that have ended since."""
-        if not self._place.begun:
-            return
+        """Reads the runs that have ended since. Threads may come together: each run counts once."""
+        if self._place.begun:
+            with self._lock:
+                self._follow()
+
+    def _follow(self) -> None:
         with Store.read(self._place.record) as store:
             for run in store.runs():
                 if run.id <= self._done or run.status == RUNNING:
