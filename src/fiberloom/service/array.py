@@ -94,16 +94,19 @@ class RunningCommand:
 class ServedArray:
     """One array. Methods may be called from any thread; they block for the time of a look at the store."""
 
-    def __init__(self, arrayed: Field, book: ArrayBook, bus: str, folder: Path, hub: Hub) -> None:
+    def __init__(
+        self, arrayed: Field, book: ArrayBook, bus: str, folder: Path, hub: Hub, database: str = ""
+    ) -> None:
         """`arrayed`: the field with its bus and camera; `book`: of the array; `bus`: its address;
-        `folder`: of the record of observations; `hub`: where events go."""
+        `folder`: of the record of observations; `hub`: where events go; `database`: URL of that record,
+        where it is no file in the folder."""
         few_heaps()
         self.field, self.book, self.bus, self.hub = arrayed, book, bus, hub
-        self.place = Place(folder, NUMBERED)
+        self.place = Place(folder, NUMBERED, database)
         self.commands = CommandBook(book)
         self.alarms = AlarmBoard(AlarmTable(book), hub.publish, self._send)
         self.live = Live(arrayed.plane, hub.publish, self.alarms.event, self.alarms.judged)
-        self.health = HealthFollower(arrayed.plane, self.place.store)
+        self.health = HealthFollower(arrayed.plane, self.place)
         self.sender: Callable[[Alarm], None] = lambda _: None
         self.reached = True
         """The last command has reached the positioners, or none was given yet."""
@@ -249,10 +252,10 @@ class ServedArray:
         """What is on record of one positioner, and what health says. InputError for one that there is not."""
         self._check_known([positioner_id])
         found: dict[str, Any] = {"measurements": [], "events": [], "alarms": []}
-        if self.place.store.exists():
+        if self.place.begun:
             from fiberloom.store import Store
 
-            with Store.read(self.place.store) as store:
+            with Store.read(self.place.record) as store:
                 found = positioner_history(store, positioner_id)
         mine = [e for e in self.book.exclusions(past=True) if e.positioner_id == positioner_id]
         known, image_utc = self.book.places(np.array([positioner_id])), self.live.cutout_utc
@@ -396,7 +399,7 @@ class ServedArray:
                 if self.live.heard:
                     self.alarms.looked_again(running.begun)
             self._look_at_state()
-            self._propose()
+            self.propose()
             self.alarms.clear("store", "store")  # all of this was written
         except InputError as error:
             self.alarms.raise_("store", "store", str(error))
@@ -435,8 +438,9 @@ class ServedArray:
                 self.alarms.raise_(code, "array", text or "arms have touched")
         self.hub.publish("array", now)
 
-    def _propose(self) -> None:
-        """What health says of those that a person has not excluded yet."""
+    def propose(self) -> None:
+        """Health judges the runs that have ended since; what it says of those that a person has not excluded
+        yet is an alarm."""
         self.health.follow()
         excluded = {e.positioner_id for e in self.book.exclusions()}
         found = self.health.proposals().items()
