@@ -57,12 +57,13 @@ def test_knots_that_were_given_up_once(seed, buffer_mm, around, within_mm, refus
     assert verify(plane, made, start_deg=start_deg, goal_deg=goal_deg).ok
 
 
-# With joint searches that see how many nodes they look at, and not whether there is a way, 1.339 and 1.317.
-@pytest.mark.parametrize(("seed", "most"), [(452, 1.2), (48, 1.3)])
-def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, most):
-    array = array_at(2.0)
+# Before floods of two told whether there is a way in time: 1.409, 1.355 and 2.388.
+@pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(261, 2.0, 1.3), (590, 2.0, 1.3), (473, 2.5, 1.3)])
+def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, most):
+    array = array_at(buffer_mm)
     ends_deg = array.ends_of(seed)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=2.0))
+    settings = PlanSettings(collision_buffer_mm=buffer_mm)
+    made = plan(array.plane, *ends_deg, seed=seed, settings=settings)
     assert made.refused == {}
     assert made.duration_s < most * bound_s(array.plane, *ends_deg)
 

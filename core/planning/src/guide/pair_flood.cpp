@@ -8,6 +8,8 @@
 namespace fl::planning {
 namespace {
 
+constexpr int fewer_steps = 4; // by which there is less time, until there is room
+
 // out |= from, word by word.
 FL_CLONES void add_words(const std::uint64_t *from, int count, std::uint64_t *out) {
     for (int k = 0; k < count; ++k) out[k] |= from[k];
@@ -57,14 +59,22 @@ std::uint64_t FloodSide::word(const CellBlock *line) const {
     return out;
 }
 
-void FloodSide::block(int step, const BlockedLines &cells) {
-    for (int beta = cells.first; beta < cells.end; ++beta)
-        busy_[step * betas_ + beta] |= word(cells.bits + (beta - cells.first) * blocks_);
+std::uint64_t FloodSide::around(Cell end, int beta) const {
+    if (std::abs(beta - end.beta) > 1) return 0;
+    return with_beside(std::uint64_t{1} << (end.alpha - first_alpha_));
+}
+
+void FloodSide::block(int step, const BlockedLines &cells, bool at_end) {
+    for (int beta = cells.first; beta < cells.end; ++beta) {
+        std::uint64_t bits = word(cells.bits + (beta - cells.first) * blocks_);
+        if (at_end) bits &= ~(around(start_, beta) | around(goal_, beta));
+        busy_[step * betas_ + beta] |= bits;
+    }
 }
 
 // The cells that can be come to by a step, and from which the goal can be come to in time.
-PairFlood::Box PairFlood::box(const FloodSide &side, int step) {
-    const int left = std::max(side.deadline() - step, 0);
+PairFlood::Box PairFlood::box(const FloodSide &side, int step) const {
+    const int left = std::max(std::min(side.deadline(), latest_) - step, 0);
     const Cell p = side.start(), q = side.goal();
     const auto low = [&](int from, int to, int least) { return std::max({from - step, to - left, least}); };
     const auto end = [&](int from, int to, int most) {
@@ -74,21 +84,40 @@ PairFlood::Box PairFlood::box(const FloodSide &side, int step) {
             low(p.beta, q.beta, 0), end(p.beta, q.beta, side.betas())};
 }
 
-// False if one cannot arrive in time even alone, or if there are too many cells.
-bool PairFlood::lay_out(int steps) {
+// The words of all layers; 0 if one cannot arrive in time even alone.
+std::int64_t PairFlood::lay_out(int steps) {
     layers_.clear();
-    std::int64_t begin = 0, most = 0;
+    std::int64_t begin = 0;
     for (int step = 0; step <= steps; ++step) {
-        Layer layer{box(sides_[0], step), box(sides_[1], step), begin};
+        const Layer layer{box(sides_[0], step), box(sides_[1], step), begin};
         for (const Box &one : {layer.first, layer.second})
-            if (one.width() <= 0 || one.lines() <= 0) return false;
+            if (one.width() <= 0 || one.lines() <= 0) return 0;
         begin += layer.words();
-        most = std::max(most, layer.words());
         layers_.push_back(layer);
     }
-    if (begin > most_words) return false;
-    if (words_.size() < begin) words_.resize(static_cast<int>(begin));
-    return true;
+    return begin;
+}
+
+// False if one cannot arrive in time even alone.
+bool PairFlood::lay_out_within(int steps) {
+    latest_ = steps;
+    std::int64_t words = lay_out(steps);
+    in_full_ = words <= most_words;
+    while (words > most_words) {
+        latest_ -= fewer_steps;
+        words = lay_out(steps);
+    }
+    if (words_.size() < words) words_.resize(static_cast<int>(words));
+    return words > 0;
+}
+
+// Where both are at an end, or next to it.
+void PairFlood::keep_ends_apart(Cell first, int at) {
+    const FloodSide &one = sides_[0], &second = sides_[1];
+    for (int beta = 0; beta < second.betas(); ++beta) {
+        if (FloodSide::around(first, one.start())) apart_[at + beta] |= second.around(second.start(), beta);
+        if (FloodSide::around(first, one.goal())) apart_[at + beta] |= second.around(second.goal(), beta);
+    }
 }
 
 const std::uint64_t *PairFlood::apart_from(Cell first, const Touching &touching) {
@@ -100,6 +129,7 @@ const std::uint64_t *PairFlood::apart_from(Cell first, const Touching &touching)
         const BlockedLines cells = touching(first);
         for (int beta = cells.first; beta < cells.end; ++beta)
             apart_[at + beta] = ~second.word(cells.bits + (beta - cells.first) * second.blocks());
+        keep_ends_apart(first, at);
     }
     return apart_.data() + at;
 }
@@ -163,7 +193,7 @@ bool PairFlood::step_back(int step, const Touching &touching) {
 }
 
 bool PairFlood::run(int steps, const Touching &touching) {
-    if (!lay_out(steps)) return false;
+    if (!lay_out_within(steps)) return false;
     apart_.clear();
     apart_at_.assign(FloodSide::most_alphas * sides_[0].betas(), -1);
     const Layer &last = layers_[steps];

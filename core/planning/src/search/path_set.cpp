@@ -15,8 +15,10 @@ constexpr int waiting_steps = 8;
 // The guide sees arms in mid-step alone, where they may be farther apart than at its ends: it keeps so much
 // more between them. So it may find dear what is not; no path is given up for it unless so many times too
 // dear.
-constexpr double guide_margin_mm = 0.1;
+constexpr double guide_margin_mm = 0.3;
 constexpr int much_too_dear = 3;
+// The same of a flood, for those for which a guide is too careful: they need what room there is.
+constexpr double flood_margin_mm = 0.1;
 
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
 
@@ -244,10 +246,17 @@ void PathSet::begin_flood(int which, Member &member) {
     side.begin(member.robot, member.deadline, steps_, member.robot.steps_from_goal());
     for (const auto &visit : joint_moving_[which].visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
-        const BlockedLines cells = member.blocked.by(member.robot, visit.slot, them, visit.cell,
-                                                     need_mm_ + guide_margin_mm, tables_);
-        for (int step = visit.first; step <= visit.last; ++step) side.block(step, cells);
+        const bool at_end = visit.cell == them.start() || visit.cell == them.goal();
+        const BlockedLines cells = member.blocked_to_floods.by(member.robot, visit.slot, them, visit.cell,
+                                                               need_mm_ + flood_margin_mm, tables_);
+        for (int step = visit.first; step <= visit.last; ++step) side.block(step, cells, at_end);
     }
+}
+
+bool PathSet::can_flood(const List<PathIndex> &pair) const {
+    return std::all_of(pair.begin(), pair.end(), [this](PathIndex i) {
+        return at(i).robot.alpha().size() <= FloodSide::most_alphas + 1;
+    });
 }
 
 // Of two: the request's moving obstacles are gathered.
@@ -258,7 +267,8 @@ bool PathSet::flood(const List<PathIndex> &pair) {
     const auto &near = second.neighbours;
     const int slot = static_cast<int>(std::find(near.begin(), near.end(), pair[0]) - near.begin());
     return flood_.run(steps_, [&](Cell c) {
-        return second.blocked.by(second.robot, slot, first.robot, c, need_mm_ + guide_margin_mm, tables_);
+        return second.blocked_to_floods.by(second.robot, slot, first.robot, c, need_mm_ + flood_margin_mm,
+                                           tables_);
     });
 }
 
@@ -276,7 +286,7 @@ bool PathSet::may_arrive(const List<PathIndex> &pair) {
         none->clear();
         none->sort(steps_);
     }
-    return flood(pair);
+    return flood(pair) || !flood_.in_full();
 }
 
 // What is likely to come, once a search without a guide has found nothing soon.
