@@ -14,7 +14,7 @@ from fiberloom.typing import Floats
 def way_rule(plane: FocalPlane, scatter: Floats | None = None) -> WayRule | None:
     """The rule for the targets of a `plane`; None: its drive finds a way to all that do not touch.
 
-    `scatter` (N, 2): rms by which moves of both motors miss, of their way, as calibrated; None: not known.
+    `scatter` (N, 2), dimensionless: rms by which moves of both motors miss, of their way; None: not known.
     """
     rules: dict[str, Callable[[FocalPlane], WayRule]] = {
         "pfs": lambda known: WaysOut.of(known, scatter),

@@ -57,7 +57,7 @@ class Known:
     doubtful: dict[int, str] = field(default_factory=dict)
     """By number why positioners got no targets: by their calibration they cannot be counted on."""
     scatter: Floats | None = None
-    """(N, 2) rms by which moves of both motors miss, of their way, as calibrated; None: not known."""
+    """(N, 2), dimensionless: rms by which moves of both motors miss, of their way; None: not known."""
 
     async def ask(self, source: Source, say: Callable[[str], None]) -> None:
         """What `source` tells before targets are assigned: how warm it is, and which motors not to count on.

@@ -82,8 +82,8 @@ class Doubting(Protocol):
         ...
 
     def scatter(self) -> Floats | None:
-        """(N, 2) rms by which moves of both motors miss, of their way, as calibrated; NaN, or None: not
-        known."""
+        """(N, 2), dimensionless: rms by which moves of both motors miss, of their way, as calibrated; NaN, or
+        None: not known."""
         ...
 
 

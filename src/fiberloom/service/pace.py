@@ -94,7 +94,7 @@ class PacedSource:
         return await self._inside.doubtful() if isinstance(self._inside, Doubting) else {}
 
     def scatter(self) -> Floats | None:
-        """As the one inside; None where it knows none."""
+        """(N, 2), dimensionless: as the one inside; None where it knows none."""
         return self._inside.scatter() if isinstance(self._inside, Doubting) else None
 
     def maps_file(self, points: int) -> Path | None:

@@ -209,6 +209,22 @@ def test_one_that_a_lucky_image_has_at_its_target_moves_again():
     assert not arrived[-1].any()
 
 
+def test_one_that_stands_rests_as_long_as_its_place_does():
+    """3 um beside its target: after a move it goes on; where it has stood for an image it stays."""
+    rig = Rig(seed=2)
+    place = np.column_stack([np.full(N, 100.0), np.full(N, 60.0)])
+    rig.drive.believe(place, 0.1)
+    at, order = rig.drive.arms.xy_mm(place), rig.drive.law.order(place.ravel(), np.ones(2 * N, dtype=bool))
+    goal = rig.drive.arms.angles_deg(at + np.array([0.003, 0.0]), place) + stops_deg(rig.plane)[0]
+    every, arrived = np.ones(N, dtype=bool), []
+    for _ in range(2):
+        rig.drive.law.take(order)
+        rig.drive.seen(Measurement(*at.T, every, 0.0), every)
+        arrived.append(rig.drive.arrived(goal))
+    assert not arrived[0].any()
+    assert arrived[1].all()
+
+
 def test_one_that_is_not_seen_has_not_arrived():
     rig = Rig(seed=2)
     place = np.column_stack([np.full(N, 100.0), np.full(N, 60.0)])

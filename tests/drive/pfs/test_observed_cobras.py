@@ -102,7 +102,10 @@ def test_the_exit_code_counts_what_was_assigned(tmp_path, monkeypatch, capsys, f
 def test_those_that_a_calibration_does_not_count_on_get_no_target_and_are_named(
     tmp_path, monkeypatch, capsys
 ):
-    """Seven stand still: their calibration says so before the assignment, and all others are observed."""
+    """Seven stand still: their calibration says so before the assignment, and all others are observed.
+
+    One more has a phi that does not move and was not swept: the field finds it.
+    """
     plane = pfs_plane(114)
     source = CobraSource(plane, SEED, "noise")
     stuck(source)
@@ -116,10 +119,10 @@ def test_those_that_a_calibration_does_not_count_on_get_no_target_and_are_named(
     assert observe(options) == 0
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert set(map(str, ids)) <= set(summary["left_out"])
-    assert summary["left_out"][str(ids[0])].endswith("does not turn")
+    assert summary["left_out"][str(ids[0])].endswith("its fibre does not move")
     assert len(summary["left_out"]) < 12
     assert summary["n_assigned"] <= 114 - len(summary["left_out"])
-    assert "dead" not in summary["faults"]
+    assert len(summary["faults"].get("dead", [])) <= 1
     assert summary["contacts_true"] == 0
     said = " ".join(capsys.readouterr().out.split())
     assert (

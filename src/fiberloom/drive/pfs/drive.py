@@ -58,6 +58,9 @@ class CobraSettings:
     motors: LearningSettings = field(default_factory=lambda: LearningSettings(most_steps=MOST_STEPS))
     rest_share: float = 0.5
     """[A] Of the requirement: one that is believed to be so near stays: a move brings it no nearer."""
+    stays_share: float = 0.8
+    """[A] The same, of one that has stood for an image or more: a motor that is poor at short ways would give
+    up a place that does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +103,7 @@ class CobraDrive:
         self.model = DriveModel.of(plane, astray_mm=ASTRAY_MM, seen_is_believed=True, reports=False)
         self._discs_mm = plane.fiducials
         self._answers: list[int] = []
-        self._moved = np.ones(len(plane), dtype=bool)
+        self._moved, self._stood = np.ones(len(plane), dtype=bool), np.zeros(len(plane), dtype=bool)
         self._still, self._told_mm = np.zeros(len(plane), dtype=np.int64), np.zeros(len(plane))
         self._seen_mm = np.full((len(plane), 2), np.nan)
         self._seed = 0
@@ -169,7 +172,7 @@ class CobraDrive:
         self._watch_motors(xy_mm)
         air = air_mm(xy_mm, self.arms.xy_mm(self.expected_deg), ~self._moved & image.seen)
         self.tracker.see(xy_mm - air, self._camera_um(image))
-        self._moved[:] = False
+        self._stood, self._moved = ~self._moved, np.zeros(len(self.plane), dtype=bool)
         return self.tracker.place_deg + stops_deg(self.plane)[0]
 
     def _watch_motors(self, xy_mm: Floats) -> None:
@@ -235,7 +238,7 @@ class CobraDrive:
         refused = self._refused(goal, active)
         active &= ~np.isin(self.plane.positioner_id, list(refused))
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
-        active &= ~self.found_stuck() & ~self._rests(goal)
+        active &= ~self.found_stuck() & ~self._rests(goal, self.settings.rest_share)
         self._seed += 1
         chosen = self.stages.choose(self.law, goal, active, self._seed)
         goes = chosen.stage != CobraStage.STAY
@@ -246,10 +249,10 @@ class CobraDrive:
         made = Programme(self._plan(iteration, refused), self._tube_mm(chosen), iteration, about)
         return made.timed(begun_s)
 
-    def _rests(self, goal: Floats) -> Flags:
-        """(N,) cobras that are believed to be so near to their goals (N, 2) that they stay."""
+    def _rests(self, goal: Floats, share: float | Floats) -> Flags:
+        """(N,) cobras believed to be within a `share` of the requirement of their goals (N, 2) in deg."""
         off_um = UM_PER_MM * np.hypot(*(self.arms.xy_mm(goal) - self.arms.xy_mm(self.tracker.place_deg)).T)
-        limit_um = self.settings.rest_share * self.plane.instrument.operation.requirement_um
+        limit_um = share * self.plane.instrument.operation.requirement_um
         rests: Flags = off_um < limit_um
         return rests
 
@@ -357,10 +360,11 @@ class CobraDrive:
     def arrived(self, goal_deg: Floats, last: bool = False) -> Flags | None:
         """(N,) seen, and by all images since they moved so near to goals (N, 2) in deg that they rest.
 
-        One that the next images show to be farther moves again; `last`: not used.
+        One that the next images show to be well farther moves again; `last`: not used.
         """
         seen = np.isfinite(self._seen_mm).all(axis=1)
-        arrived: Flags = seen & self._rests(goal_deg - stops_deg(self.plane)[0])
+        share = np.where(self._stood, self.settings.stays_share, self.settings.rest_share)
+        arrived: Flags = seen & self._rests(goal_deg - stops_deg(self.plane)[0], share)
         return arrived
 
     async def settle(self, ids: list[int]) -> None:

@@ -45,8 +45,8 @@ class WaysOut:
     def of(cls, plane: FocalPlane, scatter: Floats | None = None) -> WaysOut:
         """Those of a `plane` with its fiducials and its offline cobras.
 
-        `scatter` (n, 2): rms by which moves of theta and phi miss, of their way, by a calibration; NaN, or
-        None: not known.
+        `scatter` (n, 2), dimensionless: rms by which moves of theta and phi miss, of their way, by a
+        calibration; NaN, or None: not known.
         """
         low, room = stops_deg(plane)[0], np.full((len(plane), 2), ROOM_DEG)
         if scatter is not None:

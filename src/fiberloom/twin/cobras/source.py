@@ -126,7 +126,7 @@ class CobraSource:
         return doubtful(self.calibrations[0], self.plane) if self.calibrations else {}
 
     def scatter(self) -> Floats | None:
-        """(N, 2) of theta and phi, as calibrated; None before."""
+        """(N, 2), dimensionless, of moves of theta and phi, as calibrated; None before."""
         return self.calibrations[0].motors.scatter.reshape(-1, 2) if self.calibrations else None
 
     @cached_property

@@ -35,7 +35,8 @@ FEWEST_SEEN = 8
 """Images of a motor's sweep, for its circle."""
 TRAVEL_MM = 0.1
 """[A] A fibre that stays within so much has a motor that does not turn."""
-STANDS = "does not turn"
+STANDS = "its fibre does not move"
+"""Of theta also where phi does not open: the fibre stays on the centre."""
 MOST_OFF_MM = 0.05
 """Rms of places about their circle, at most."""
 
@@ -273,7 +274,7 @@ def _travelled(sweep: CobraSweep) -> Flags:
 
 
 def _with_standing(motors: MapFit, sweeps: tuple[CobraSweep, CobraSweep]) -> MapFit:
-    """With those motors named that were swept, and turned nothing; `sweeps` of theta and phi."""
+    """With those motors named that were swept and moved no fibre; `sweeps` of theta and phi."""
     stands = np.column_stack([_often_seen(sweep) & ~_travelled(sweep) for sweep in sweeps]).ravel()
     return replace(motors, reason=[STANDS if s else r for r, s in zip(motors.reason, stands, strict=True)])
 
