@@ -10,7 +10,7 @@ from fiberloom.bus.outcome import Result, Results
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.drive.port import Programme
+from fiberloom.drive.port import CountsSteps, Programme
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
@@ -247,8 +247,14 @@ class SessionMotion(FieldMotion):
     @property
     def folded(self) -> bool:
         """Every positioner that follows commands is where it is parked."""
+        return bool(self.are_folded[self.state.mobile].all() and self.state.mobile.any())
+
+    @property
+    def are_folded(self) -> Flags:
+        """(N,) which are where they are parked: steppers at their switches, wherever the layout has these."""
         off_deg = np.abs(self.state.here_deg - self.plane.park_deg).max(axis=1)
-        return bool((off_deg[self.state.mobile] < FOLDED_DEG).all() and self.state.mobile.any())
+        near = np.asarray(off_deg < FOLDED_DEG)
+        return near | self.drive.near_datum() if isinstance(self.drive, CountsSteps) else near
 
     @property
     def collided(self) -> list[int]:
