@@ -4,7 +4,7 @@ import { lookOf, shape } from "/page/look.js";
 const ERROR_TIMES = 1000;  // error vectors are drawn so many times as long
 const LONGEST_MM = 20;  // as drawn; a longer one ends with a ring
 const FAR_PX = 30;  // of a reach: with fewer the field is seen from afar, and marks would hide the arms
-const THIN_PX = 4;  // narrower lines have plain ends: round ones look the same, and cost most of the drawing
+const THIN_PX = 2.5;  // narrower lines have plain ends: round ones look the same, and cost most of the drawing
 
 export class View {
   constructor(still, moving, model) {
