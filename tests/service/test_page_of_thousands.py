@@ -22,6 +22,22 @@ COUNTER = """() => {
 """Counts lines and arcs, and the paths that are painted, from now on."""
 
 
+DEAD_PIXELS = """(row) => {
+  const { view, model } = fiberloom, [x, y] = model.plane.arm(row).slice(6);
+  const copy = document.createElement("canvas");
+  view.stale = true;
+  view.draw();
+  const c = copy.getContext("2d", { willReadFrequently: true }), [red, green, blue] = [255, 106, 61];
+  c.drawImage(document.querySelector("#moving"), 6 - Math.round(view.px(x)), 6 - Math.round(view.py(y)));
+  const at = c.getImageData(0, 0, 13, 13).data;
+  let n = 0;
+  for (let k = 0; k < at.length; k += 4)
+    n += Math.hypot(at[k] - red, at[k + 1] - green, at[k + 2] - blue) < 40;
+  return n;
+}"""
+"""How many pixels round a fibre have the colour of `dead`."""
+
+
 @pytest.fixture(scope="module")
 def motion(tmp_path_factory):
     """All in motion for minutes, a move by which nothing is planned."""
@@ -90,6 +106,19 @@ def lonely(plane, angles_deg):
     apart_mm = np.hypot(*(tip_mm[:, None] - others_mm[None]).transpose(2, 0, 1))
     apart_mm[np.arange(N), np.arange(N)] = np.inf
     return int(np.argmax(apart_mm.min(axis=1)))
+
+
+def test_a_faulty_one_is_drawn_larger_than_its_neighbours_and_over_them(page, motion):
+    """In the whole field at rest."""
+    plane, live = motion.plane, motion.array.live
+    live.rests(motion.plans[0].end_deg)
+    page.wait_for_selector("#mark", state="hidden")
+    fit(page)
+    row = lonely(plane, motion.plans[0].end_deg)
+    assert page.evaluate(DEAD_PIXELS, row) == 0
+    live.event("dead", "does not move", int(plane.positioner_id[row]))
+    wait_for(lambda: page.evaluate("(row) => fiberloom.model.states[row]", row) == CODE["dead"])
+    assert page.evaluate(DEAD_PIXELS, row) > 15  # 6 of a mark as large as the others
 
 
 def test_a_click_in_the_whole_field_finds_the_right_one(page, motion):

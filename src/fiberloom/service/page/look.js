@@ -6,6 +6,11 @@ export const SHAPES = {
   collided: "burst", excluded: "stop",
 };
 
+const WELL = ["unknown", "on_target", "off_target", "parked", "excluded", "offline"];
+
+// somebody has to look at it
+export const isFault = (name) => !WELL.includes(name);
+
 const DARK = {
   unknown: "#8793a3", on_target: "#2fc7a0", off_target: "#e69f00", blocked: "#56b4e9", parked: "#8793a3",
   dark: "#cc79a7", lying: "#ff6a3d", astray: "#ff6a3d", unsure: "#f0e442", disconnected: "#4f9be0",

@@ -1,9 +1,11 @@
 // Drawing: what is still on one canvas, drawn when it changes; what moves on another one, drawn for each picture.
-import { lookOf, shape } from "/page/look.js";
+import { isFault, lookOf, shape } from "/page/look.js";
 
 const ERROR_TIMES = 1000;  // error vectors are drawn so many times as long
 const LONGEST_MM = 20;  // as drawn; a longer one ends with a ring
 const FAR_PX = 30;  // of a reach: with fewer the field is seen from afar, and marks would hide the arms
+const FAULT_TIMES = 1.9;  // as large as other marks, so that a faulty one is found among thousands
+const SHORT_PX = 5;  // shorter error vectors are not drawn from afar: they would be dots
 const THIN_PX = 2.5;  // narrower lines have plain ends: round ones look the same, and cost most of the drawing
 
 export class View {
@@ -208,17 +210,20 @@ export class View {
       if (!paths.has(name)) paths.set(name, []);
       paths.get(name).push([this.px(x), this.py(y)]);
     }
-    for (const [name, places] of paths) {
+    if (all && this.far) this.targets(c, paper, r);
+    const faultsLast = [...paths].sort(([a], [b]) => isFault(a) - isFault(b));
+    for (const [name, places] of faultsLast) {
+      const size = this.far && isFault(name) ? FAULT_TIMES * r : r;
       c.beginPath();
       let filled = true;
-      for (const [x, y] of places) filled = shape(c, name, x, y, r);
-      c.lineWidth = Math.max(1, 0.3 * r);
+      for (const [x, y] of places) filled = shape(c, name, x, y, size);
+      c.lineWidth = Math.max(1, 0.3 * size);
       c.strokeStyle = filled ? paper.back : colours[name];
       c.fillStyle = colours[name];
       if (filled) c.fill();
       c.stroke();
     }
-    if (all) this.targets(c, paper, r);
+    if (all && !this.far) this.targets(c, paper, r);
   }
 
   targets(c, paper, r) {
@@ -246,6 +251,7 @@ export class View {
       const [x, y] = seen.targets[row];
       if (ex === null || x === null || !inSight(x, y)) return;
       const times = ERROR_TIMES / 1000, drawn_mm = times * Math.hypot(ex, ey), part = Math.min(1, LONGEST_MM / drawn_mm);
+      if (far && drawn_mm * this.scale < SHORT_PX * this.ratio) return;
       const tx = x + part * times * ex, ty = y + part * times * ey;
       c.moveTo(this.px(x), this.py(y));
       c.lineTo(this.px(tx), this.py(ty));
