@@ -169,7 +169,7 @@ def scale(numbers, seconds):
 
 
 def bytes_per_axis(plane, units):
-    """Of the twin; and with the firmware's own state."""
+    """Of the twin, all that it holds; the firmware's own state is not in it."""
     twin = Twin(plane, units, seed=1, threads=1)
     return twin._core.bytes_per_positioner // 2
 
@@ -235,7 +235,8 @@ def show(report):
             f"  {r['axes']:6d} axes in {r['twins']}: {r['ns_per_axis_tick']:6.1f} ns/axis-tick, "
             f"{r['real_time_factor']:5.2f} x real time, {r['bytes_per_axis']} bytes an axis"
         )
-    print(f"  growth with the power {report['exponent']:.3f}")
+    if report["exponent"] is not None:
+        print(f"  growth with the power {report['exponent']:.3f}")
     print("peers, plant only:")
     for name, ns in report["peers_ns_per_axis_tick"].items():
         factor = NEEDS if ns is None else f"{ns:6.1f} ns/axis-tick, {5e2 / ns:5.1f} x"
@@ -269,7 +270,7 @@ def main():
         "firmware_ns_per_axis_tick": firmware_cost_ns(rows),
         "rows": rows,
         "scale": larger,
-        "exponent": exponent(larger) if len(larger) > 1 else float("nan"),
+        "exponent": exponent(larger) if len(larger) > 1 else None,
         "clocks_GHz": clocks,
         "peers_ns_per_axis_tick": peers(args.axes, clocks),
     }

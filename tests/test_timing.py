@@ -59,3 +59,15 @@ def test_observe_tells_where_its_seconds_went(tmp_path):
     )
     assert re.search(r"^ +\d+\.\d s  start: ", done.stderr, re.M)
     assert re.search(r"^ +\d+\.\d s  in all, \d+\.\d CPU s$", done.stderr, re.M)
+
+
+def test_modules_that_are_read_are_a_part(tmp_path, monkeypatch):
+    (tmp_path / "slow_to_read.py").write_text("import time\ntime.sleep(0.2)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    table = timing.begin()
+    table.stage("one")
+    import slow_to_read  # noqa: F401
+
+    timing.end()
+    assert re.search(r"one: imports 0\.[23]", "\n".join(table.lines()))
+    assert re.search(r"start: imports", table.lines()[0]), "what passed before it was measured"

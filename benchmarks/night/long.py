@@ -28,12 +28,14 @@ import numpy as np
 
 import fiberloom as fl
 from fiberloom.connect import twin_source
+from fiberloom.errors import InputError
 from fiberloom.field import Field
 from fiberloom.night.carry import NightEnd, carry_out
 from fiberloom.night.figures import shutter_to_ready_s
 from fiberloom.night.report import write_report
 from fiberloom.night.setup import NightSetup
 from fiberloom.operation.known import Learning, known_so_far
+from fiberloom.operation.past.rebuild import info_of_run, observation_of
 from fiberloom.operation.session.session import KnownArray
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
@@ -189,12 +191,24 @@ def by_visit(book: NightBook) -> list[dict[str, Any]]:
     for v in visits:
         closed.append(v)  # with the visits before it that were not exposed
         row: dict[str, Any] = {"visit": v.id, "field": v.field, "state": v.state, "plan": v.plan_from}
-        row |= {"on_target": v.on_target, "assigned": v.assigned, "rms_um": v.rms_um}
+        row |= {"on_target": v.on_target, "truly": _truly(book.store, v.run_id), "assigned": v.assigned}
+        row["rms_um"] = v.rms_um
         if v.id in gap_s:
             row |= _gap(book, gap_s[v.id], closed)
         rows.append({k: round(x, 2) if isinstance(x, float) else x for k, x in row.items()})
         closed = [] if v.id in exposed else closed
     return rows
+
+
+def _truly(store: Store, run_id: int | None) -> int | None:
+    """Fibres within the requirement in the truth of the twin; None where the visit made no move."""
+    if run_id is None:
+        return None
+    try:
+        seen, _ = observation_of(store, info_of_run(store, run_id))
+    except InputError:
+        return None
+    return int(seen.summary()["n_within_requirement"])
 
 
 def _gap(book: NightBook, bus_s: float, visits: list[VisitRecord]) -> dict[str, float]:

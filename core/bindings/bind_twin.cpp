@@ -272,6 +272,17 @@ void bind_whole_twin(nb::module_ &m) {
 
 using Dict = nb::typed<nb::dict, nb::str, nb::any>;
 
+nb::dict by_cause(const LateCounts &counts) {
+    nb::dict found;
+    for (size_t k = 0; k < late_causes; ++k) found[late_names[k]] = counts[k];
+    return found;
+}
+
+// Half, 99 % and the longest of them.
+std::vector<double> spread_of(const Lateness &times) {
+    return {times.quantile_s(0.5), times.quantile_s(0.99), times.worst_s()};
+}
+
 Dict pace_of(const RealTime &real) {
     const Pace pace = real.pace();
     Dict d;
@@ -282,6 +293,10 @@ Dict pace_of(const RealTime &real) {
     d["late_p99_s"] = pace.busy.quantile_s(0.99);
     d["late_worst_s"] = pace.busy.worst_s();
     d["given_up_s"] = pace.given_up_s;
+    d["late_by_cause"] = by_cause(pace.late);
+    d["first_by_cause"] = by_cause(pace.first);
+    d["woken_s"] = spread_of(pace.woken);
+    d["computing_s"] = spread_of(pace.computing);
     return d;
 }
 

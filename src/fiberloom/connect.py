@@ -14,22 +14,20 @@ from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.source import (
-    FPGA,
-    MOONS_GATEWAYS,
-    OpenedArray,
-    OpenedCobras,
-    OpenedDesi,
-    OpenedMoons,
-    Source,
-)
+from fiberloom.operation.outside.steppers import OpenedLamost, OpenedMegara, OpenedMoons, OpenedSteppers
+from fiberloom.operation.source import FPGA, OpenedArray, OpenedCobras, OpenedDesi, Source
 
 if TYPE_CHECKING:
     from fiberloom.metrology import Camera
 
 TWIN = "twin:"
-ON_TWIN_ONLY = ("lamost", "megara")
-"""Protocols without a connection outside of this process."""
+NO_CAMERA = "none"
+STEPPERS: dict[str, type[OpenedSteppers]] = {
+    "lamost": OpenedLamost,
+    "megara": OpenedMegara,
+    "moons": OpenedMoons,
+}
+"""Arrays of steppers by their protocol."""
 
 
 def open_hardware(
@@ -50,11 +48,12 @@ def open_hardware(
     bus : str or Transport
         `twin:`, `cannet://HOST[:PORT][,HOST...]`, `socketcan:can0[,can1]`, `slcan:/dev/ttyUSB0`, or any
         `INTERFACE:CHANNEL` of python-can; `fpga://HOST[:PORT]` for the boards of PFS,
-        `gateways://HOST[:PORT]` for MOONS; or an open transport, which stays open.
+        `gateways://HOST[:PORT]` for MOONS, `radio://HOST[:PORT]` for LAMOST; or an open transport, which
+        stays open.
     camera : str or Camera
         `twin:image` or `twin:noise` with the bus `twin:`; else `alpaca://HOST:PORT/N?exposure=S`,
-        `folder:PATH?trigger=CMD`, `indi://HOST:PORT/NAME`, `aravis:NAME`; or an object with
-        `measure(expected_mm) -> Measurement`.
+        `folder:PATH?trigger=CMD`, `indi://HOST:PORT/NAME`, `aravis:NAME`; `none` for an instrument that no
+        camera looks at; or an object with `measure(expected_mm) -> Measurement`.
     seed : int
         Of the twin's units and noise.
     faults : str
@@ -78,18 +77,16 @@ def open_hardware(
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
-    if plane.instrument.drive.protocol in ON_TWIN_ONLY:
-        name = plane.instrument.name
-        raise InputError(f"--bus {bus}: {name} is driven on the twin only so far; leave --bus out")
-    gateways = isinstance(bus, str) and bus.startswith(MOONS_GATEWAYS)
-    if plane.instrument.drive.protocol == "moons" and not gateways:
-        raise InputError(f"--bus {bus}: units of MOONS are behind gateways://HOST[:PORT], the first of three")
+    kind = STEPPERS.get(plane.instrument.drive.protocol)
+    if kind is not None:
+        _check_steppers(plane, bus, kind)
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
+    if kind is not None:
+        # an opened bus is for MEGARA's frames alone, which `_check_steppers` has seen to
+        return kind(plane, bus.removeprefix(kind.at) if isinstance(bus, str) else bus, seen, address)  # type: ignore[arg-type]
     if isinstance(bus, str) and bus.startswith(FPGA):
         return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
-    if isinstance(bus, str) and bus.startswith(MOONS_GATEWAYS):
-        return OpenedMoons(plane, bus.removeprefix(MOONS_GATEWAYS), seen, address)
     found = OpenedArray.of(bus, seen, address)
     if plane.instrument.drive.protocol == "desi":
         return OpenedDesi(plane, found.bus, found.camera, address)
@@ -108,7 +105,18 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
     return source_of(plane, seed, camera, faults, errors)
 
 
+def _check_steppers(plane: FocalPlane, bus: str | Transport, kind: type[OpenedSteppers]) -> None:
+    """InputError for a bus that these units do not hang at."""
+    if kind.at and not (isinstance(bus, str) and bus.startswith(kind.at)):
+        raise InputError(
+            f"--bus {bus}: units of {plane.instrument.name} are behind {kind.at}HOST[:PORT]; "
+            f"docs/instruments/{plane.instrument.drive.protocol}.md"
+        )
+
+
 def _camera(plane: FocalPlane, address: str) -> Camera:
+    if address == NO_CAMERA:
+        return _no_camera(plane)
     if address.startswith(TWIN) or address in ("image", "noise"):
         raise InputError(
             f"--camera {address}: the camera of the twin inside of this process; with a bus outside name a "
@@ -117,6 +125,17 @@ def _camera(plane: FocalPlane, address: str) -> Camera:
     from fiberloom.metrology.sources.spec import CameraSpec, open_camera
 
     return open_camera(CameraSpec.parse(address), plane)
+
+
+def _no_camera(plane: FocalPlane) -> Camera:
+    """InputError for an instrument whose camera decides something."""
+    if plane.instrument.metrology.present:
+        raise InputError(
+            f"--camera {NO_CAMERA}: {plane.instrument.name} is corrected by its camera; name that"
+        )
+    from fiberloom.metrology.camera import NoCamera
+
+    return NoCamera(len(plane))
 
 
 def array_address(bus: str) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fiberloom.errors import InputError, one_line
 from fiberloom.files import check_axes, read_bytes, read_text
+from fiberloom.timing import part
 from fiberloom.typing import Array, Floats, Ints
 from fiberloom.wholefile import write_whole
 
@@ -113,6 +114,7 @@ class TableFile:
         return out
 
 
+@part("files")
 def read_table(path: str | Path) -> TableFile:
     """Read a table, by the suffix of its name. In CSV, lines that start with # are comments."""
     path = Path(path)
@@ -196,6 +198,7 @@ def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str,
     write_columns(path, {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}, head)
 
 
+@part("files")
 def write_columns(path: Path, columns: Mapping[str, Sequence[Any]], head: Mapping[str, Any]) -> None:
     """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text."""
     from astropy.table import Table
@@ -209,6 +212,7 @@ SUM = "rows_sum"
 _NO_SUM = "sha256-" + 16 * "0"
 
 
+@part("files")
 def write_summed(path: Path, table: Any) -> None:
     """Write an astropy table as ECSV with the sum of its rows in the header: a file that was cut short is
     not taken for one with fewer rows.

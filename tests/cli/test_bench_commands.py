@@ -174,10 +174,6 @@ def test_an_instrument_without_requirements_says_so(tmp_path):
             ("lifetime", "--instrument", "desi", "--cycles", 2, "--positioners", 1),
             "desi: alpha is a bldc motor",
         ),
-        (
-            ("twin", "--listen", "127.0.0.1:19777", "--instrument", "lamost", "--positioners", 2),
-            "lamost: alpha is a stepper motor",
-        ),
     ],
 )
 def test_motors_that_an_instrument_does_not_have_are_not_measured(words, motor, tmp_path, monkeypatch):

@@ -1,7 +1,9 @@
 """What help and refusals load: no clock is asked, only which modules are there afterwards."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,7 @@ MODEL = "fiberloom.instruments.model"
 
 LOADED = """
 import sys
+from pathlib import Path
 try:
     from fiberloom.cli import main
     main()
@@ -105,3 +108,25 @@ def test_the_package_alone_loads_nothing():
     code = "import sys, fiberloom; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert sorted(set(done.stdout.split()) & {*SLOW, "numpy", "pydantic", "typer"}) == []
+
+
+THREADS = """
+import os, sys
+from fiberloom.cli import main
+sys.argv = ["fiberloom", "instruments", "sdssv"]
+try:
+    main()
+except SystemExit:
+    import numpy
+    print("threads", len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted by /proc")
+@pytest.mark.parametrize(("given", "alone"), [({}, True), ({"OPENBLAS_NUM_THREADS": "2"}, False)])
+def test_linear_algebra_has_one_thread_so_that_cores_do_not_change_results(given, alone):
+    env = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | given
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS], env=env, capture_output=True, text=True, check=True, timeout=60
+    )
+    assert ("threads 1" in done.stdout.splitlines()) == alone

@@ -58,13 +58,12 @@ def test_a_desi_array_keeps_what_it_is_told_to_know_apart():
     assert ours.named() == {"bus": "opened", "camera": "a"}
 
 
-@pytest.mark.parametrize("instrument", ["lamost", "megara", "moons"])
-def test_what_the_twin_alone_drives_is_not_opened(fl, tmp_path, instrument):
+@pytest.mark.parametrize(("instrument", "at"), [("lamost", "radio"), ("moons", "gateways")])
+def test_units_that_hang_at_no_can_bus_are_not_looked_for_there(fl, tmp_path, instrument, at):
     """No frame of SDSS-V goes to motors of another kind."""
     targets = tmp_path / "t.csv"
     targets.write_text(TARGETS)
     words = ("observe", targets, "--instrument", instrument, "--positioners", 3, "--bus", "socketcan:can0")
     code, _, err = fl(*words, "--camera", "folder:images?trigger=true")
     assert code == 2
-    other = "units of MOONS are behind gateways://HOST[:PORT]"
-    assert (other if instrument == "moons" else f"{instrument} is driven on the twin only so far") in err
+    assert f"--bus socketcan:can0: units of {instrument} are behind {at}://HOST[:PORT]" in err

@@ -18,6 +18,7 @@ from fiberloom.night.report import write_report
 from fiberloom.night.runner import NightRunner
 from fiberloom.night.shutter import Exposed, TimedShutter
 from fiberloom.night.stages import NightStage, RefusedError, StageRunner
+from fiberloom.operation.results import Observation
 from fiberloom.operation.session.array_lock import ArrayLock, ForbiddenError
 from fiberloom.operation.session.states import Deed, Step
 from fiberloom.store.arrays import ArrayBook
@@ -191,6 +192,18 @@ def test_what_a_run_tells_an_operator_is_an_alarm_of_the_night(tmp_path):
     assert visit.on_target < 7
     figures = night_figures(night.book)
     assert "dead" in figures["worst_positioners"][0]["flags"]
+
+
+def test_a_night_counts_what_the_images_show_and_not_what_only_a_twin_knows(tmp_path, monkeypatch):
+    """A real array has nothing else: it decides by it, and the page's picture shows the same."""
+    monkeypatch.setattr(Observation, "on_target", lambda seen, move: np.zeros(len(seen.plane), dtype=bool))
+    night = Night(tmp_path, ONE.replace("exposures = 2", "exposures = 1"), faults="dark=1")
+    assert night.run().status == "finished"
+    (visit,) = night.book.visits()
+    rows = night.store.measurements(visit.run_id)
+    status = rows["status"][rows["move"] == rows["move"].max()]
+    assert visit.on_target == (status == "on_target").sum() == 6
+    assert visit.state == "done"
 
 
 # the parts alone

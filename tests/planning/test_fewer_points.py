@@ -29,11 +29,11 @@ def as_sent(robot: Trajectory) -> Trajectory:
 
 
 def test_an_axis_that_waits_again_and_again_leaves_points_out_and_keeps_clear():
-    """On its way between the others one of these changes its speed 56 times on both axes together."""
+    """Without a limit an axis of one of these would have 60 points."""
     plane = generate(load_instrument("sdssv"), seed=0, n_positioners=37)
-    start_deg, goal_deg = random_pair(plane, seed=34, collision_buffer_mm=BUFFER_MM)
+    start_deg, goal_deg = random_pair(plane, seed=21, collision_buffer_mm=BUFFER_MM)
     settings = PlanSettings(collision_buffer_mm=BUFFER_MM)
-    made = plan(plane, start_deg, goal_deg, seed=34, settings=settings)
+    made = plan(plane, start_deg, goal_deg, seed=21, settings=settings)
     assert made.refused == {}
     assert 30 < max(made.points_per_axis) <= MOST_POINTS
     sent = replace(made, robots=tuple(as_sent(robot) for robot in made.robots))

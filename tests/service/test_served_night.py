@@ -72,6 +72,10 @@ def done(client, array):
     told["first"] = ask(client, "priority", field="new", priority=9.0)
     told["where"] = client.post("/api/v1/night/fields", json={"id": "x", "targets": "../q.toml"}).json()
     assert ask(client, "go_on")[0] == 200
+    number = int(array.field.plane.positioner_id[0])
+    judged = lambda: client.get(f"/api/v1/positioners/{number}").json()["health"]["moves"]  # noqa: E731
+    wait_for(lambda: judged() > 0 or array.running is None)
+    told["moves judged"] = judged() if array.running is not None else 0
     idle(array)
     return told
 
@@ -96,6 +100,10 @@ def test_what_is_shown_is_what_the_store_has(done, client, folder):
     told = {(a["code"], a["subject"]) for a in view["alarms"] if a["subject"].startswith("field ")}
     assert told == {("on target", f"field {name}") for name in ("a", "b", "new")}
     assert {f["state"] for f in view["fields"]} == {"failed", "skipped"}
+
+
+def test_health_has_judged_each_visit_before_the_night_is_over(done, array):
+    assert done["moves judged"] > 0
 
 
 def test_it_was_paused_and_its_queue_was_changed_by_people_on_record(done, client, folder):

@@ -1,9 +1,11 @@
 """The page in a real browser: what is drawn, clicks, alarms, a restart, roles; nothing from elsewhere."""
 
 import contextlib
+import io
 import socket
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from served import ANN, HOST, PATIENCE_S, idle, listening, plane_of, served, wait_for
@@ -176,6 +178,25 @@ def test_park_is_stopped_by_the_button_without_a_question(observed, page, array)
     wait_for(lambda: [c.command for c in array.commands.last()[:2]] == ["stop", "stop"])
 
 
+def test_what_cannot_begin_now_is_not_offered_and_says_why(observed, page, array):
+    moves = ("#observe", "#park", "#home", "#look", "#recover")
+    assert all(page.locator(button).is_enabled() for button in moves)
+    page.click("#park")
+    page.click("#dialog-yes")
+    page.wait_for_selector("#park:disabled")
+    for button in moves:
+        assert page.locator(button).is_disabled()
+        assert page.locator(button).get_attribute("title") == "park of local runs"
+    assert page.locator("#stop").is_enabled()
+    idle(array)
+    page.wait_for_selector("#park:enabled")
+    page.evaluate("document.querySelector('#targets').replaceChildren()")
+    page.evaluate("window.fiberloom.words()")
+    assert page.locator("#observe").get_attribute("title") == "add a target list first"
+    page.reload()
+    page.wait_for_selector("#link:not(.off)")
+
+
 def test_an_alarm_is_on_top_and_is_acknowledged(page, array):
     array.alarms.raise_("dark", "7", "<b>its fibre</b> is not seen")
     alarm = page.locator(".alarm.minor")
@@ -214,6 +235,12 @@ def test_themes_and_a_tablet(page):
     )
     assert (green, blue) == (0, 0)  # no light that harms eyes that are used to the dark
     assert red < 40
+    page.locator("#errors").uncheck()
+    page.wait_for_timeout(100)
+    seen = plt.imread(io.BytesIO(page.screenshot()))[..., :3]
+    page.locator("#errors").check()
+    grey = (seen[..., 0] > 0.15) & (seen[..., 1:].max(axis=2) > 0.9 * seen[..., 0])
+    assert np.argwhere(grey).tolist() == []  # also of what the browser paints by itself
     page.set_viewport_size({"width": 820, "height": 1180})
     for element in ("#stop", "#observe", "#slider", "#moving"):
         box = page.locator(element).bounding_box()
@@ -230,6 +257,7 @@ def test_the_page_recovers_when_the_service_begins_again(browser, array, folder)
         page.wait_for_selector("#link:not(.off)")
     page.wait_for_selector("#link.off")
     assert page.inner_text("#link") == "no connection"
+    assert page.inner_text("#array-state") == "not known"
     array.alarms.raise_("camera", "camera", "raised meanwhile")
     with listening(array, folder, bound(port)):
         page.wait_for_selector("#link:not(.off)", timeout=1e3 * PATIENCE_S)

@@ -1,14 +1,9 @@
 """`fiberloom serve` as it is started: what it refuses, and how a signal ends it in the middle of a motion."""
 
 import json
-import signal
-import socket
-import subprocess
-import sys
-import urllib.request
 
 import pytest
-from served import PATIENCE_S, N, plane_of, wait_for
+from served import N, StartedService, plane_of, wait_for
 
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook, arrays_of
@@ -25,6 +20,7 @@ from fiberloom.targets import random_targets, write_targets
         (("--bus", "cannet://10.1.10.31"), "--camera"),
         (("--alarm-webhook", "ftp://x"), "--alarm-webhook"),
         (("--tls-cert", "pyproject.toml"), "--tls-key"),
+        (("--database", "night.sqlite"), "is no URL"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(fl, tmp_path, words, fragment):
@@ -33,41 +29,15 @@ def test_what_cannot_be_is_told_in_one_line(fl, tmp_path, words, fragment):
     assert fragment in err
 
 
-def free_port():
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        return made.getsockname()[1]
-
-
 @pytest.mark.slow
 def test_a_signal_stops_what_moves_and_then_the_service(tmp_path):
     (tmp_path / "targets").mkdir()
     write_targets(random_targets(plane_of(), 20 * N, 1), tmp_path / "targets" / "t.csv")
-    port = free_port()
-    url = f"http://127.0.0.1:{port}"
-    words = ["--positioners", N, "--camera", "noise", "--out", tmp_path, "--listen", f"127.0.0.1:{port}"]
-    process = subprocess.Popen([sys.executable, "-m", "fiberloom.cli", "serve", *map(str, words)])
-
-    def asked(path, body=None):
-        headers = {"X-Fiberloom": "1", "Origin": url, "Content-Type": "application/json"}
-        content = None if body is None else json.dumps(body).encode()
-        with urllib.request.urlopen(urllib.request.Request(url + path, content, headers)) as answer:
-            return json.load(answer)
-
-    def ready():
-        try:
-            return all(asked("/readyz").values()) and asked("/api/v1/state")["running"] is None
-        except OSError:
-            return False
-
-    try:
-        wait_for(ready)
-        asked("/api/v1/observe", {"targets": "t.csv"})
-        wait_for(lambda: asked("/api/v1/state")["array"]["state"] == "moving")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(PATIENCE_S) == 0
-    finally:
-        process.kill()
+    with StartedService("--positioners", N, "--camera", "noise", "--out", tmp_path) as service:
+        wait_for(service.ready)
+        service.ask("/api/v1/observe", {"targets": "t.csv"})
+        wait_for(lambda: service.ask("/api/v1/state")["array"]["state"] == "moving")
+        assert service.end() == 0
     with Store.read(tmp_path / "store.sqlite") as store:
         (address,) = arrays_of(store)
         book = ArrayBook(store, address)

@@ -1,8 +1,14 @@
 """A served array of seven positioners on the virtual twin, for the tests of the service."""
 
 import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
+import urllib.request
 
 import uvicorn
 from starlette.testclient import TestClient
@@ -120,6 +126,55 @@ def asking(array, folder, tokens=None, headers=OURS, night=None):
     app = application(array, gate(tokens), TargetRoot(folder / "targets"), night)
     with TestClient(app, base_url=f"http://{HOST}:{PORT}", headers=headers) as client:
         yield client
+
+
+def free_port():
+    """A port of this machine on which nothing listens."""
+    with socket.socket() as made:
+        made.bind((HOST, 0))
+        return made.getsockname()[1]
+
+
+class StartedService:
+    """`fiberloom serve` as a process of its own, with these words; killed at the end of the block."""
+
+    def __init__(self, *words):
+        self.url = f"http://{HOST}:{(port := free_port())}"
+        options = [*words, "--listen", f"{HOST}:{port}"]
+        self.process = subprocess.Popen([sys.executable, "-m", "fiberloom.cli", "serve", *map(str, options)])
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        self.process.wait()
+
+    def ask(self, path, body=None):
+        """What is answered: to a command where there is a body."""
+        headers = {"X-Fiberloom": "1", "Origin": self.url, "Content-Type": "application/json"}
+        content = None if body is None else json.dumps(body).encode()
+        with urllib.request.urlopen(urllib.request.Request(self.url + path, content, headers)) as answer:
+            return json.load(answer)
+
+    def asked(self, path):
+        """The same; None while nothing listens, or it is not ready."""
+        try:
+            return self.ask(path)
+        except OSError:
+            return None
+
+    def ready(self):
+        """A command could begin."""
+        return (
+            all((self.asked("/readyz") or {"": False}).values())
+            and self.ask("/api/v1/state")["running"] is None
+        )
+
+    def end(self):
+        """By a signal; its exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(PATIENCE_S)
 
 
 @contextlib.contextmanager

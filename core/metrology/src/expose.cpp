@@ -7,10 +7,19 @@
 #include <thread>
 #include <vector>
 
+// Pixels may be computed by wider vectors where a machine has them, with the same bits.
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
+#define FL_CLONES __attribute__((target_clones("avx2", "default")))
+#else
+#define FL_CLONES
+#endif
+
 namespace fl::metrology {
 namespace {
 
 constexpr double poisson_below_e = 40;
+// pixels that are made together
+constexpr std::size_t stretch = 64;
 
 // xoshiro256+ (Blackman and Vigna 2018), seeded by splitmix64.
 class Random {
@@ -54,12 +63,14 @@ std::array<float, 4096> quantiles() {
     return out;
 }
 
+const std::array<float, 4096> table = quantiles();
+
 // The mean of four quantiles, scaled: Gaussian to far beyond six sigma, four looks into a small table.
-float normal(Random &random) {
-    static const std::array<float, 4096> table = quantiles();
+inline double normal(Random &random) {
     const std::uint64_t b = random.bits();
-    return 0.5f *
-           ((table[b >> 52] + table[(b >> 40) & 4095]) + (table[(b >> 28) & 4095] + table[(b >> 16) & 4095]));
+    const float upper = table[b >> 52] + table[(b >> 40) & 4095];
+    const float lower = table[(b >> 28) & 4095] + table[(b >> 16) & 4095];
+    return static_cast<double>(0.5f * (upper + lower));
 }
 
 // By the sum of the probabilities: few steps where the mean is small.
@@ -73,32 +84,74 @@ double poisson(double mean, Random &random) {
     return k;
 }
 
-double electrons(double mean, double read_variance, Random &random) {
-    const double z = normal(random);
-    if (mean < poisson_below_e) return poisson(std::max(mean, 0.0), random) + std::sqrt(read_variance) * z;
+// Of so many photons that their scatter is Gaussian, but for a little skewness.
+inline double bright(double mean, double read_variance, double z) {
     const double variance = mean + read_variance;
     return mean + std::sqrt(variance) * z + mean / (6 * variance) * (z * z - 1);
 }
 
+double faint(double mean, double read_variance, Random &random) {
+    const double z = normal(random);
+    return poisson(std::max(mean, 0.0), random) + std::sqrt(read_variance) * z;
+}
+
 // To the nearest whole number, halves to even ones: adding 1.5 * 2^52 shifts the fraction out.
-double rounded(double x) {
+inline double rounded(double x) {
     constexpr double magic = 6755399441055744.0;
     return (x + magic) - magic;
+}
+
+inline std::int32_t converted(double e, const Detector &detector) {
+    const double value = rounded(detector.bias_adu + std::min(e, detector.full_well_e) / detector.gain_e_adu);
+    return static_cast<std::int32_t>(std::clamp(value, 0.0, 65535.0));
+}
+
+// Some pixels of a row that follow each other.
+struct Stretch {
+    std::size_t count;
+    double mean_e[stretch];
+    double normal[stretch]; // draws, for bright pixels
+};
+
+FL_CLONES void expose_bright(const Stretch &pixels, const Detector &detector, std::uint16_t *adu) {
+    const Detector d = detector; // whole stretches: what nothing writes to meanwhile stays in registers
+    const double read_variance = d.read_noise_e * d.read_noise_e;
+    std::int32_t whole[stretch];
+    for (std::size_t i = 0; i < stretch; ++i)
+        whole[i] = converted(bright(pixels.mean_e[i], read_variance, pixels.normal[i]), d);
+    for (std::size_t i = 0; i < pixels.count; ++i) adu[i] = static_cast<std::uint16_t>(whole[i]);
+}
+
+// Pixels of any brightness, one by one: a faint one draws more than one random number.
+void expose_any(const Stretch &pixels, const Detector &detector, Random &random, std::uint16_t *adu) {
+    const double read_variance = detector.read_noise_e * detector.read_noise_e;
+    for (std::size_t i = 0; i < pixels.count; ++i) {
+        const double mean = pixels.mean_e[i];
+        const double e = mean < poisson_below_e ? faint(mean, read_variance, random)
+                                                : bright(mean, read_variance, normal(random));
+        adu[i] = static_cast<std::uint16_t>(converted(e, detector));
+    }
 }
 
 // One row: its own random numbers, so that rows may be made in any order.
 void expose_row(std::span<const float> light_e, std::size_t j, const Exposure &exposure,
                 std::span<std::uint16_t> adu) {
     const Sky &sky = exposure.sky;
-    const Detector &detector = exposure.detector;
-    const double read_variance = detector.read_noise_e * detector.read_noise_e;
     const double ground = sky.level_e + sky.slope_y_e * static_cast<double>(j);
     Random random(exposure.seed + 0x632BE59BD9B4E019u * (j + 1));
-    for (std::size_t i = 0; i < light_e.size(); ++i) {
-        const double mean = light_e[i] + ground + sky.slope_x_e * static_cast<double>(i);
-        const double e = std::min(electrons(mean, read_variance, random), detector.full_well_e);
-        const double value = rounded(detector.bias_adu + e / detector.gain_e_adu);
-        adu[i] = static_cast<std::uint16_t>(std::clamp(value, 0.0, 65535.0));
+    Stretch pixels{}; // what a short one leaves is computed, too
+    for (std::size_t at = 0; at < light_e.size(); at += pixels.count) {
+        pixels.count = std::min(stretch, light_e.size() - at);
+        for (std::size_t k = 0; k < pixels.count; ++k)
+            pixels.mean_e[k] =
+                static_cast<double>(light_e[at + k]) + ground + sky.slope_x_e * static_cast<double>(at + k);
+        const auto is_bright = [](double mean_e) { return mean_e >= poisson_below_e; };
+        if (!std::all_of(pixels.mean_e, pixels.mean_e + pixels.count, is_bright)) {
+            expose_any(pixels, exposure.detector, random, &adu[at]);
+            continue;
+        }
+        for (std::size_t k = 0; k < pixels.count; ++k) pixels.normal[k] = normal(random);
+        expose_bright(pixels, exposure.detector, &adu[at]);
     }
 }
 

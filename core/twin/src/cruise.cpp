@@ -74,15 +74,16 @@ void load_law(LawBatch &b, int i, const fl_axis_law_t &law) {
 #define X(type, name) b.touch.name[i] = law.drive.touch.name;
     FL_LAW_TOUCH(X)
 #undef X
-#define X(type, name) b.teeth.name[i] = law.drive.teeth.name;
-    FL_LAW_TEETH(X)
-#undef X
-#define X(type, name) b.regulator.name[i] = law.drive.regulator.name;
-    FL_LAW_REGULATOR(X)
-#undef X
     b.law[i] = law.drive.law;
     b.voltage_per_Nm[i] = law.drive.voltage_per_Nm;
     b.full_Nm[i] = law.drive.full_Nm;
+    if (b.law[i] != FL_LAW_CONTACT) return;
+#define X(type, name) b.contact->teeth.name[i] = law.drive.teeth.name;
+    FL_LAW_TEETH(X)
+#undef X
+#define X(type, name) b.contact->regulator.name[i] = law.drive.regulator.name;
+    FL_LAW_REGULATOR(X)
+#undef X
 }
 
 void load_state(LawBatch &b, int i, const fl_drive_state_t &state) {
@@ -95,13 +96,14 @@ void load_state(LawBatch &b, int i, const fl_drive_state_t &state) {
 #define X(type, name) b.ripple.name[i] = state.touch.ripple.name;
     FL_LAW_RIPPLE(X)
 #undef X
-#define X(type, name) b.gap.name[i] = state.teeth.name;
+    if (b.law[i] != FL_LAW_CONTACT) return;
+#define X(type, name) b.contact->gap.name[i] = state.teeth.name;
     FL_LAW_GAP(X)
 #undef X
-#define X(type, name) b.seen.name[i] = state.regulator.seen.name;
+#define X(type, name) b.contact->seen.name[i] = state.regulator.seen.name;
     FL_LAW_SEEN(X)
 #undef X
-    b.slack_Nm[i] = state.regulator.slack_Nm;
+    b.contact->slack_Nm[i] = state.regulator.slack_Nm;
 }
 
 void store_state(const LawBatch &b, int i, fl_axis_t &a) {
@@ -114,17 +116,18 @@ void store_state(const LawBatch &b, int i, fl_axis_t &a) {
 #define X(type, name) a.drive.touch.ripple.name = b.ripple.name[i];
     FL_LAW_RIPPLE(X)
 #undef X
-#define X(type, name) a.drive.teeth.name = b.gap.name[i];
-    FL_LAW_GAP(X)
-#undef X
-#define X(type, name) a.drive.regulator.seen.name = b.seen.name[i];
-    FL_LAW_SEEN(X)
-#undef X
 #define X(type, name) a.torque.name = b.torque.name[i];
     FL_LAW_TORQUE(X)
 #undef X
-    a.drive.regulator.slack_Nm = b.slack_Nm[i];
     a.voltage = b.voltage[i];
+    if (b.law[i] != FL_LAW_CONTACT) return;
+#define X(type, name) a.drive.teeth.name = b.contact->gap.name[i];
+    FL_LAW_GAP(X)
+#undef X
+#define X(type, name) a.drive.regulator.seen.name = b.contact->seen.name[i];
+    FL_LAW_SEEN(X)
+#undef X
+    a.drive.regulator.slack_Nm = b.contact->slack_Nm[i];
 }
 
 void stand(LawBatch &b, int i) {

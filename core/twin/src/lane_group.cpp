@@ -93,8 +93,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
         if (fl_axis_rests(&axes[axis])) continue;
         LawBatch &b = batches_[axis];
         const int lane = static_cast<int>(i);
-        load_law(b, lane, axes[axis].law);
-        loaded_[axis][i] = true;
+        load(static_cast<int>(axis), lane, axes[axis].law);
         load_state(b, lane, axes[axis].drive);
         load_way(b, lane, axes[axis], tick);
         cruise_axis_[axis] |= bit;
@@ -186,22 +185,35 @@ void LaneGroup::tick_axis(int axis, uint64_t tick) {
     LawBatch &batch = batches_[static_cast<size_t>(axis)];
     const uint32_t cruise = cruise_axis_[static_cast<size_t>(axis)];
     if (cruise != 0) look(axis, batch);
+    std::array<Tracker, lane_group_size> trackers; // the first `count`
     size_t count = 0;
     each(runs_, [&](size_t i) {
         if (ask(axis, positioners_[i], static_cast<int>(i), batch))
-            trackers_[count++] = {&positioners_[i], static_cast<int>(i), {}};
+            trackers[count++] = {&positioners_[i], static_cast<int>(i), {}};
     });
     if (count == 0 && cruise == 0) return;
     plant_->kernel().hall_law(batch);
     if (cruise != 0) plant_->kernel().advance_law(batch, tick);
     unsigned laws = laws_[static_cast<size_t>(axis)];
     for (size_t k = 0; k < count; ++k) {
-        advance(axis, trackers_[k], batch);
-        laws |= 1U << batch.law[trackers_[k].lane];
+        advance(axis, trackers[k], batch);
+        laws |= 1U << batch.law[trackers[k].lane];
     }
     plant_->kernel().drive_law(batch, laws);
     if (cruise != 0) drive(axis, tick, batch);
-    for (size_t k = 0; k < count; ++k) conclude(axis, trackers_[k], batch);
+    for (size_t k = 0; k < count; ++k) conclude(axis, trackers[k], batch);
+}
+
+// The configuration of an axis into its lane.
+void LaneGroup::load(int axis, int lane, const fl_axis_law_t &law) {
+    const auto at = static_cast<size_t>(axis);
+    LawBatch &b = batches_[at];
+    if (law.drive.law == FL_LAW_CONTACT && !contacts_[at]) {
+        contacts_[at] = std::make_unique<ContactLanes>();
+        b.contact = contacts_[at].get();
+    }
+    load_law(b, lane, law);
+    loaded_[at][static_cast<size_t>(lane)] = true;
 }
 
 // An axis that tracks gives its hall counts to the batch. Any other does its tick alone.
@@ -216,8 +228,7 @@ bool LaneGroup::ask(int axis, Positioner &p, int lane, LawBatch &b) {
                                    fl_axis_tick(&a, &firmware.path[axis], &firmware.port, axis));
         return false;
     }
-    if (!loaded) load_law(b, lane, a.law);
-    loaded = true;
+    if (!loaded) load(axis, lane, a.law);
     p.hall(axis, a.adc_cnt);
     b.adc_a_cnt[lane] = a.adc_cnt[0];
     b.adc_b_cnt[lane] = a.adc_cnt[1];

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 
 #include "fiberloom/twin/law_batch.hpp"
 #include "positioner.hpp"
@@ -24,6 +25,13 @@ class LaneGroup {
     // After a slice: positioners that have come to rest fall asleep; a bit for each of them.
     uint32_t rest(uint64_t tick, bool may_sleep);
 
+    // Memory beside the object itself.
+    size_t bytes() const {
+        size_t bytes = 0;
+        for (const auto &lanes : contacts_) bytes += lanes ? sizeof *lanes : size_t{0};
+        return bytes;
+    }
+
     const Positioner *begin() const { return positioners_; }
     const Positioner *end() const { return positioners_ + count_; }
 
@@ -42,6 +50,7 @@ class LaneGroup {
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
     void look(int axis, LawBatch &batch) const;
     void drive(int axis, uint64_t tick, LawBatch &batch);
+    void load(int axis, int lane, const fl_axis_law_t &law);
     void set_phases(int axis, uint32_t lanes, const LawBatch &batch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
     void advance(int axis, Tracker &t, LawBatch &batch);
@@ -63,7 +72,7 @@ class LaneGroup {
     // axes whose configuration lies in the batch, by lane: until a release
     std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};
     std::array<LawBatch, FL_AXES> batches_{};
-    std::array<Tracker, lane_group_size> trackers_{};
+    std::array<std::unique_ptr<ContactLanes>, FL_AXES> contacts_; // where a lane has wanted that law
 };
 
 } // namespace fl::twin

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <stdexcept>
 
 namespace fl::twin {
 namespace {
@@ -33,6 +34,15 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
 }
 
 constexpr uint64_t longest_ticks = 256;
+constexpr double um_per_mm = 1e3;
+
+// Whole micrometres of travels, modulo 2^32 of them: differences of up to two kilometres are right.
+uint32_t um_below(double travels_mm) {
+    return static_cast<uint32_t>(static_cast<int64_t>(std::floor(travels_mm * um_per_mm)));
+}
+uint32_t um_above(double travels_mm) {
+    return static_cast<uint32_t>(static_cast<int64_t>(std::ceil(travels_mm * um_per_mm)));
+}
 
 // A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All
 // pairs are looked at in the same ticks, as far as may be: what that needs is then worked out once.
@@ -45,44 +55,57 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
 
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        std::vector<Give> gives)
-    : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), gives_(std::move(gives)),
-      near_(arms_.size()), next_look_(arms_.size(), 0), next_exact_(arms_.size(), 0) {
-    find_speeds();
+    : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), next_look_(arms_.size(), 0),
+      next_exact_(arms_.size(), 0) {
+    for (const Give &g : gives)
+        compliances_.push_back({{g.compliance_rad_per_Nm[0], g.compliance_rad_per_Nm[1]}});
+    compliances_.shrink_to_fit();
+    find_speeds(gives);
     find_neighbours();
 }
 
 double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_.to_mm + body_.radius_mm; }
 
 // Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
-void Neighbours::find_speeds() {
+void Neighbours::find_speeds(const std::vector<Give> &gives) {
+    speed_mm_s_.reserve(arms_.size());
+    levers_mm_.reserve(arms_.size());
     for (size_t i = 0; i < arms_.size(); ++i) {
-        const double *w = gives_[i].speed_limit_rad_s;
-        const double *turn = gives_[i].output_per_gear;
+        const double *w = gives[i].speed_limit_rad_s;
+        const double *turn = gives[i].output_per_gear;
         const double length_mm = arms_[i].l_alpha_mm + body_.to_mm;
         speed_mm_s_.push_back(2.0 * (w[0] * length_mm + w[1] * body_.to_mm));
         levers_mm_.push_back({turn[0] * length_mm, turn[1] * body_.to_mm});
     }
 }
 
+void Neighbours::add_near(size_t number) {
+    constexpr uint64_t most = (uint64_t{1} << Near::number_bits) - 1;
+    if (number > most) throw std::invalid_argument("arms and obstacles: a million at most");
+    near_.push_back({0, 1, number & most, 0, 0.0f});
+}
+
 void Neighbours::find_neighbours() {
     const auto apart = [](Vec2 a, Vec2 b) { return std::hypot(a.x - b.x, a.y - b.y); };
+    first_near_.reserve(arms_.size() + 1);
     for (size_t i = 0; i < arms_.size(); ++i) {
+        first_near_.push_back(static_cast<uint32_t>(near_.size()));
         const Vec2 centre = arms_[i].centre_mm;
         for (size_t j = 0; j < arms_.size(); ++j)
-            if (j != i && apart(centre, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j))
-                near_[i].push_back({static_cast<uint32_t>(j)});
+            if (j != i && apart(centre, arms_[j].centre_mm) < reach_mm(i) + reach_mm(j)) add_near(j);
         for (size_t k = 0; k < obstacles_.size(); ++k)
             if (point_segment_distance(centre, obstacles_[k].centre_line_mm) <
                 reach_mm(i) + obstacles_[k].radius_mm)
-                near_[i].push_back({static_cast<uint32_t>(arms_.size() + k)});
+                add_near(arms_.size() + k);
     }
+    first_near_.push_back(static_cast<uint32_t>(near_.size()));
+    near_.shrink_to_fit();
 }
 
-size_t Neighbours::bytes_per_positioner() const {
-    size_t longest = 0;
-    for (size_t i = 0; i < arms_.size(); ++i) longest = std::max(longest, near_[i].size());
-    return sizeof(Arm) + sizeof(Give) + sizeof(std::vector<Near>) + sizeof(double) + sizeof(Levers) +
-           2 * sizeof(uint64_t) + longest * sizeof(Near);
+size_t Neighbours::bytes() const {
+    const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
+    return held(arms_) + held(obstacles_) + held(compliances_) + held(speed_mm_s_) + held(near_) +
+           held(first_near_) + held(levers_mm_) + held(next_look_) + held(next_exact_);
 }
 
 uint64_t Neighbours::next_due() const {
@@ -102,7 +125,7 @@ double Neighbours::softness_mm_per_N(size_t i, const Pose &pose, const ContactPo
     const double lever_a_m = metres * cross(minus(m.point_mm, arms_[i].centre_mm), m.normal);
     const double lever_b_m =
         metres * cross(minus(m.point_mm, elbow(arms_[i], pose.angles.alpha_rad)), m.normal);
-    const double *give = gives_[i].compliance_rad_per_Nm;
+    const double *give = compliances_[i].rad_per_Nm;
     return (lever_a_m * lever_a_m * give[0] + lever_b_m * lever_b_m * give[1]) / metres;
 }
 
@@ -165,10 +188,11 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
 
 // How far apart two are at least. Poses are asked for where that may be nothing at the next sync point.
 double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
-    if (!near.exact) return near.meet_mm - travelled_mm;
-    const double apart_mm = touch(look, body(near.number, look.poses));
-    near.meet_mm = apart_mm + travelled_mm;
-    near.worth_mm = 0.5 * apart_mm;
+    if (near.exact == 0)
+        return static_cast<double>(static_cast<int32_t>(near.meet_um - um_above(travelled_mm))) / um_per_mm;
+    const double apart_mm = touch(look, body(static_cast<uint32_t>(near.number), look.poses));
+    near.meet_um = um_below(apart_mm + travelled_mm);
+    near.worth_mm = static_cast<float>(0.5 * apart_mm);
     return apart_mm;
 }
 
@@ -176,9 +200,11 @@ void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64
     const double other_mm_s = near.number < arms_.size() ? speed_mm_s_[near.number] : 0.0;
     const double free_s = std::max(apart_mm, 0.0) / (speed_mm_s_[look.i] + other_mm_s);
     const auto free_ticks = static_cast<uint64_t>(free_s / tick_s);
-    const bool touching = in_touch(look.now, near.number);
-    near.exact = touching || free_ticks < sync_ticks || apart_mm < near.worth_mm;
-    near.next_look = touching ? tick + 1 : sync_after(tick, free_ticks);
+    const bool touching = in_touch(look.now, static_cast<uint32_t>(near.number));
+    const bool close = touching || free_ticks < sync_ticks || apart_mm < static_cast<double>(near.worth_mm);
+    near.exact = close ? 1 : 0;
+    constexpr uint64_t ticks = (uint64_t{1} << Near::tick_bits) - 1;
+    near.next_look = (touching ? tick + 1 : sync_after(tick, free_ticks)) & ticks;
 }
 
 Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm,
@@ -186,13 +212,13 @@ Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vecto
     if (tick < next_look_[i]) return {};
     Look look{i, poses, contacts, {}, {}};
     uint64_t next = UINT64_MAX, exact = UINT64_MAX;
-    for (Near &near : near_[i]) {
+    for (Near &near : near(i)) {
         if (tick >= near.next_look) {
             const double other_mm = near.number < arms_.size() ? travels_mm[near.number] : 0.0;
             plan_look(look, near, apart_mm(look, near, travels_mm[i] + other_mm), tick);
         }
-        next = std::min(next, near.next_look);
-        if (near.exact) exact = std::min(exact, near.next_look);
+        next = std::min<uint64_t>(next, near.next_look);
+        if (near.exact != 0) exact = std::min<uint64_t>(exact, near.next_look);
     }
     next_look_[i] = next;
     next_exact_[i] = exact;

@@ -113,6 +113,12 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     }
 }
 
+size_t Plant::bytes() const {
+    size_t bytes = axes_.capacity() * sizeof(Axis) + groups_.capacity() * sizeof(AxisGroup);
+    for (const Axis &a : axes_) bytes += a.gear.bytes();
+    return bytes;
+}
+
 void Plant::step(size_t group) {
     AxisGroup &g = groups_[group];
     kernel_->drive(g);
@@ -129,7 +135,7 @@ void Plant::step(size_t group) {
 void Plant::fetch(size_t axis) const {
     constexpr size_t line = 64;
     const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
-    for (size_t at = 0; at < offsetof(Axis, gear); at += line) __builtin_prefetch(begin + at, 1);
+    for (size_t at = 0; at < offsetof(Axis, params); at += line) __builtin_prefetch(begin + at, 1);
 }
 
 // Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
@@ -138,8 +144,9 @@ void Plant::fetch_gear(size_t axis) const {
     const Axis &a = axes_[axis];
     const int32_t at = a.cell.index & (block_nodes - 1);
     if (at != 0 && at != block_nodes - 3) return;
-    const auto *begin = reinterpret_cast<const char *>(&a.gear.waves);
-    for (size_t i = 0; i < sizeof(Waves); i += line) __builtin_prefetch(begin + i);
+    const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
+    const size_t bytes = a.gear.wave_count() * sizeof(Gear::Wave);
+    for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
 }
 
 double Plant::geared_rad(size_t axis) const {

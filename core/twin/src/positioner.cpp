@@ -47,6 +47,7 @@ void Positioner::deliver(const int32_t position_cnt[FL_AXES], const int32_t stop
     }
     fl_positioner_set_position(&firmware_, position_cnt);
     fl_storage_save(&firmware_);
+    storage_.share(reinterpret_cast<const uint8_t *>(factory_), sizeof factory_);
 }
 
 void Positioner::power_cycle() {

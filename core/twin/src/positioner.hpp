@@ -90,8 +90,12 @@ class Positioner {
 
     void start_scope(int axis, bool on);
     std::vector<ScopeSample> take_scope(int axis);
-    // Memory of its own, without the firmware's state.
-    size_t bytes() const { return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.bytes(); }
+    // Memory of its own, without the firmware's state and what scopes have recorded.
+    size_t bytes() const {
+        return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.bytes() +
+               contacts.capacity() * sizeof(Contact) + touched.capacity() * sizeof(LastTouch) +
+               (loads != nullptr ? sizeof(ArmLoads) : size_t{0});
+    }
     bool scoped() const { return scope_on_[FL_ALPHA] || scope_on_[FL_BETA]; }
     // A sample of each axis that a scope is on.
     void record(const Plant &plant, uint64_t tick);

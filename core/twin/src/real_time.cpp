@@ -1,7 +1,9 @@
 #include "fiberloom/twin/real_time.hpp"
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
+#include <ctime>
 #include <pthread.h>
 #include <sched.h>
 #include <unistd.h>
@@ -14,8 +16,9 @@
 namespace fl::twin {
 namespace {
 
-constexpr double patience_s = 1.0;                // further behind than this, time is given up
-constexpr std::chrono::milliseconds nap_time{50}; // while every positioner rests
+constexpr double patience_s = 1.0;                    // further behind than this, time is given up
+constexpr std::chrono::milliseconds nap_time{50};     // while every positioner rests
+constexpr std::chrono::milliseconds telling_time{20}; // between two copies of the figures for others
 constexpr uint64_t most_ticks = std::max<uint64_t>(4, sync_ticks); // of one go, when behind
 
 // Of this thread, as far as the system goes along: short turns, so that it is let in when it wakes up and
@@ -36,6 +39,19 @@ void ask_for_short_turns() {
         syscall(SYS_sched_setattr, 0, &turns, 0);
     }
     prctl(PR_SET_TIMERSLACK, 1UL);
+#endif
+}
+
+// To a moment, not for a time: what passes before it sleeps makes it no later.
+void sleep_until(std::chrono::steady_clock::time_point when) {
+#ifdef __linux__
+    const auto since = when.time_since_epoch();
+    const auto whole = std::chrono::duration_cast<std::chrono::seconds>(since);
+    const auto rest = std::chrono::duration_cast<std::chrono::nanoseconds>(since - whole);
+    const timespec until{static_cast<time_t>(whole.count()), static_cast<long>(rest.count())};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) == EINTR) {}
+#else
+    std::this_thread::sleep_until(when);
 #endif
 }
 
@@ -164,11 +180,17 @@ void RealTime::exchange(std::unique_lock<std::mutex> lock) {
     outbox_.insert(outbox_.end(), sent_.begin(), sent_.end());
     const bool news = !sent_.empty();
     sent_.clear();
-    published_ = pace_;
+    if (Clock::now() - told_ > telling_time) publish();
     lock.unlock();
     const char byte = 0;
     // a full pipe has woken the taker already
     if (news && wake_fd_ >= 0 && write(wake_fd_, &byte, 1) < 0) return;
+}
+
+// Others see the figures as they are now. The mutex is held.
+void RealTime::publish() {
+    published_ = pace_;
+    told_ = Clock::now();
 }
 
 void RealTime::deliver() {
@@ -189,18 +211,50 @@ void RealTime::give_up() {
 void RealTime::compute(uint64_t ticks) {
     const uint64_t first = twin_.tick();
     const bool awake = !twin_.resting();
+    const Clock::time_point begin = watch_.begins();
     const std::vector<Reply> replies = twin_.run(ticks);
     const Clock::time_point end = Clock::now();
-    if (!awake) pace_.resting += ticks;
-    for (uint64_t tick = first; awake && tick < first + ticks; ++tick)
-        pace_.busy.note(std::chrono::duration<double>(end - due(tick)).count(), end <= due(tick + 1));
+    if (awake)
+        note(first, ticks, begin, end);
+    else
+        pace_.resting += ticks;
     sent_.insert(sent_.end(), replies.begin(), replies.end());
+}
+
+// Counts so many ticks from `first` on that were computed at once, and why they are late if they are.
+void RealTime::note(uint64_t first, uint64_t ticks, Clock::time_point begin, Clock::time_point end) {
+    const std::chrono::duration<double> each = (end - begin) / static_cast<double>(ticks);
+    pace_.computing.note(each.count(), each <= tick_, ticks);
+    const bool all = end <= due(first + 1);
+    LateWatch::Found why{};
+    if (all)
+        watch_.kept(end);
+    else
+        why = watch_.late(due(first), end, due(first + ticks) - due(first));
+    pace_.first[static_cast<size_t>(why.cause)] += why.first;
+    for (uint64_t tick = first; tick < first + ticks; ++tick) {
+        const bool kept = end <= due(tick + 1);
+        pace_.busy.note(std::chrono::duration<double>(end - due(tick)).count(), kept);
+        if (!kept) ++pace_.late[static_cast<size_t>(why.cause)];
+    }
+}
+
+// Until the next tick is due. What comes with it is taken in before: afterwards there would be less time.
+void RealTime::rest() {
+    deliver();
+    const Clock::time_point next = due(twin_.tick());
+    if (Clock::now() >= next) return;
+    sleep_until(next);
+    watch_.resumed(false);
+    if (!twin_.resting()) pace_.woken.note(std::chrono::duration<double>(Clock::now() - next).count(), true);
 }
 
 // While nothing moves and nothing comes there is no need to look at the clock.
 void RealTime::nap() {
     std::unique_lock lock(mutex_);
     change_.wait_for(lock, nap_time, [this] { return called() || !inbox_.empty(); });
+    lock.unlock();
+    watch_.resumed(false);
 }
 
 // Others touch the twin.
@@ -208,9 +262,11 @@ void RealTime::park() {
     std::unique_lock lock(mutex_);
     inside_ = holders_;
     ++parks_;
-    published_ = pace_;
+    publish();
     change_.notify_all();
     change_.wait(lock, [this] { return stop_ || inside_ == 0; });
+    lock.unlock();
+    watch_.resumed(true);
 }
 
 void RealTime::loop() {
@@ -224,7 +280,7 @@ void RealTime::loop() {
         give_up();
         const uint64_t ticks = ticks_due(), idle = idle_ticks(ticks);
         if (ticks == 0) {
-            if (!called()) std::this_thread::sleep_until(due(twin_.tick()));
+            if (!called()) rest();
             continue;
         }
         if (idle == 0) deliver();
@@ -233,6 +289,7 @@ void RealTime::loop() {
     exchange(std::unique_lock(mutex_));
     {
         const std::lock_guard lock(mutex_);
+        publish();
         ended_ = true; // not before: the last tick may have been under way when the clock was stopped
     }
     change_.notify_all();

@@ -1,6 +1,7 @@
 #include "fiberloom/twin/transmission.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <numbers>
 
@@ -58,11 +59,13 @@ struct Within {
 };
 const Within within;
 
-FL_CLONES void series(const Waves &t, int32_t first, Sums &out) {
+FL_CLONES void series(const Gear &gear, int32_t first, Sums &out) {
     Sums sums;
-    for (size_t i = 0; i < harmonic_count; ++i) {
+    const Gear::Wave *wave = gear.waves.get();
+    for (uint32_t left = gear.orders; left != 0; left &= left - 1, ++wave) {
+        const auto i = static_cast<size_t>(__builtin_ctz(left));
         const Harmonic &at = circle.at(harmonic_orders[i] * first);
-        const Harmonic delta = seen_from(at, t.delta_rad[i]), backlash = seen_from(at, t.backlash_rad[i]);
+        const Harmonic delta = seen_from(at, wave->delta_rad), backlash = seen_from(at, wave->backlash_rad);
 #pragma GCC unroll 2
         for (size_t k = 0; k < block_quads; ++k) {
             sums.delta_rad[k] += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
@@ -109,17 +112,28 @@ bool plainly_sound(const Transmission &t, double gear_ratio) {
 } // namespace
 
 Gear::Gear(const Transmission &t)
-    : waves(t), wear(is_worn(t) ? std::make_shared<const WearMarks>(t.wear) : nullptr) {}
+    : backlash_mean_rad(t.backlash_mean_rad),
+      wear(is_worn(t) ? std::make_shared<const WearMarks>(t.wear) : nullptr) {
+    const auto silent = [](const Harmonic &h) { return h.cos == 0.0 && h.sin == 0.0; };
+    for (size_t i = 0; i < harmonic_count; ++i)
+        if (!silent(t.delta_rad[i]) || !silent(t.backlash_rad[i])) orders |= 1U << i;
+    waves = std::make_unique<Wave[]>(wave_count());
+    Wave *wave = waves.get();
+    for (uint32_t left = orders; left != 0; left &= left - 1) {
+        const auto i = static_cast<size_t>(std::countr_zero(left));
+        *wave++ = {t.delta_rad[i], t.backlash_rad[i]};
+    }
+}
 
 void NodeBlock::load(const Gear &gear, double gear_ratio, int32_t block) {
     const int32_t first = block * block_nodes;
     Sums sums;
-    series(gear.waves, first, sums);
+    series(gear, first, sums);
     for (int32_t k = 0; k < block_nodes; ++k) {
         const double theta = node_step_rad * (first + k);
         const double delta = sums.delta_rad[k / 4][k % 4] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
         nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
-                                         gear.waves.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
+                                         gear.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
     }
     number = block;
 }

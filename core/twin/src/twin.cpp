@@ -129,7 +129,6 @@ struct Twin::State {
     std::vector<uint8_t> posed; // by group: somebody has written `next` since
     // how far each has travelled by then (Neighbours::travel_mm), and where its gears were
     std::vector<double> travels_mm, next_travels_mm, gears_rad;
-    std::vector<Angles> zeros; // of the arms
     Gravity gravity;
     Workers workers;
 };
@@ -149,7 +148,6 @@ Twin::State::State(const TwinSetup &s)
         std::copy_n(plant.group(g).gear_rad, lane_count, &gears_rad[g * lane_count]);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
-    for (const Arm &arm : s.arms) zeros.push_back({arm.alpha_off_rad, arm.beta_off_rad});
 }
 
 void Twin::State::boot(const TwinSetup &s) {
@@ -455,12 +453,17 @@ uint64_t Twin::ticks_run() const {
     return sum;
 }
 
-// The firmware's own state is a board's business; neighbour lists and storage are counted by their longest.
+// The firmware's own state is a board's business.
 size_t Twin::bytes_per_positioner() const {
-    size_t own = 0;
-    for (size_t i = 0; i < s_->count; ++i) own = std::max(own, s_->positioners[i].bytes());
-    return own + FL_AXES * s_->plant.bytes_per_axis() + s_->neighbours.bytes_per_positioner() +
-           2 * sizeof(Pose) + sizeof(LaneGroup) / lane_group_size;
+    const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
+    size_t bytes = s_->plant.bytes() + s_->neighbours.bytes() + held(s_->lane_groups);
+    for (size_t i = 0; i < s_->count; ++i) bytes += s_->positioners[i].bytes();
+    for (const LaneGroup &group : s_->lane_groups) bytes += group.bytes();
+    bytes += held(s_->outboxes) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
+             held(s_->next_travels_mm) + held(s_->gears_rad) + held(s_->felt) + held(s_->pushed);
+    constexpr size_t node = sizeof(std::pair<const uint32_t, size_t>) + sizeof(void *);
+    bytes += s_->count * node + s_->index_of_id.bucket_count() * sizeof(void *);
+    return s_->count == 0 ? 0 : (bytes + s_->count - 1) / s_->count;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
@@ -471,7 +474,9 @@ void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
 
 void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {
     Positioner &p = s_->at(i);
-    p.loads = std::make_unique<ArmLoads>(alpha, beta, s_->zeros[i], s_->at_rest(i));
+    const Arm &arm = s_->neighbours.arm(i);
+    const Angles zero = {arm.alpha_off_rad, arm.beta_off_rad};
+    p.loads = std::make_unique<ArmLoads>(alpha, beta, zero, s_->at_rest(i));
     s_->loaded = true;
     s_->apply_torque(i, p.push);
 }

@@ -52,8 +52,10 @@ class Workers {
     struct alignas(64) Share {
         std::atomic<Tickets> tickets{0};
     };
-    // Some ten microseconds: slices follow each other sooner, and waking a thread takes longer.
-    static constexpr int spins = 1000;
+    // Some ten microseconds: slices follow each other sooner, and waking a thread takes longer. Then some
+    // tens more, in which any other may have the core: the last task of a slice takes up to 50 us, and a
+    // thread that slept through it would miss the beginning of the next one.
+    static constexpr int spins = 1000, yields = 150;
 
     static void pause() {
 #if defined(__x86_64__) || defined(__i386__)
@@ -64,6 +66,7 @@ class Workers {
     static size_t await(const std::atomic<size_t> &number, size_t wanted) {
         size_t seen = number;
         for (int i = 0; i < spins && seen != wanted; ++i, seen = number) pause();
+        for (int i = 0; i < yields && seen != wanted; ++i, seen = number) std::this_thread::yield();
         return seen;
     }
 

@@ -16,6 +16,7 @@ from fiberloom.bus.identifier import MAX_POSITIONER, MAX_UID, Identifier, decode
 from fiberloom.bus.links import Link, LinkWatch, cut_off
 from fiberloom.bus.protocol import Command
 from fiberloom.bus.transport import Frame, Transport
+from fiberloom.timing import part
 
 # A transport whose clock has not moved after this many empty receives will never reach a deadline.
 _STANDSTILL_LIMIT = 1000
@@ -289,6 +290,7 @@ class Exchange:
         if self._standstill > _STANDSTILL_LIMIT:
             self.lost = "the transport's clock does not advance"
 
+    @part("bus")
     def _dispatch(self, frames: Sequence[Frame]) -> None:
         pending = self._pending
         for frame in frames:

@@ -6,11 +6,14 @@ link that is up until the transport raises TransportLost.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 FIRST_RETRY_S = 0.5
 LONGEST_RETRY_S = 10.0
+PATIENCE_S = 20.0
+"""So long a question waits for a link that has just broken, in the time of its transport."""
+LOOK_AGAIN_S = 0.1
 
 
 @dataclass
@@ -85,3 +88,26 @@ class LinkWatch:
                 self._seen[link.name] = now
                 changed.append(link)
         return changed
+
+
+class LinkPatience:
+    """Waits before a question for links that have broken: once for each break."""
+
+    def __init__(self, transport: object, sleep: Callable[[float], Awaitable[None]]) -> None:
+        """`transport` with a clock, and what lets its time pass."""
+        self._transport, self._sleep = transport, sleep
+        self._given_up: set[tuple[str, float]] = set()
+
+    async def wait(self) -> None:
+        """Until all links are up, but for those that were waited for in vain."""
+        left_s = PATIENCE_S
+        while waited := self._down():
+            if left_s <= 0.0:
+                self._given_up |= waited
+                return
+            await self._sleep(LOOK_AGAIN_S)
+            left_s -= LOOK_AGAIN_S
+
+    def _down(self) -> set[tuple[str, float]]:
+        down = {(link.name, link.since_s) for link in links_of(self._transport) if not link.up}
+        return down - self._given_up

@@ -10,6 +10,7 @@ import numpy as np
 
 from fiberloom.bus.protocol import COMMANDS, Command, Response
 from fiberloom.bus.transport import Frame
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Ints
 
 
@@ -96,6 +97,7 @@ def result_of(positioner: int, command: Command, reply: Frame | None, lost: bool
     return Result(positioner, Outcome.DONE, Response.ACCEPTED, values)
 
 
+@part("bus")
 def results_of(
     positioners: Sequence[int], command: Command, replies: Iterable[Frame | None], lost: set[int]
 ) -> list[Result]:

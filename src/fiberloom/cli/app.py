@@ -6,6 +6,7 @@ Commands import what they need when they run: help and refusals are quick.
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -195,6 +196,11 @@ _YOUNG = 30_000
 positioners are at every poll.
 """
 
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "1")
+"""Sums over several threads differ in the last bit, so a calibration would depend on the number of cores.
+Read when a command imports numpy, later than this.
+"""
+
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 """ClickException, of the click that this typer uses: newer versions of typer contain one."""
 
@@ -202,6 +208,7 @@ _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 def main() -> None:
     """Entry point: exit code 0, 1 (ran, below requirement), 2 (bad input) or 130 (interrupted)."""
     gc.set_threshold(_YOUNG)
+    os.environ.setdefault(*_ONE_THREAD)
     try:
         code = app(standalone_mode=False)
         if code == INTERRUPTED:  # typer's exit code for Ctrl-C

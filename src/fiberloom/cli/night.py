@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import STORE_VARIABLE, array_book, command_line, excluded
-from fiberloom.cli.options import JsonOptions, powered, require_file
+from fiberloom.cli.options import DatabaseOptions, JsonOptions, powered, require_file
 from fiberloom.cli.terminal import waiting
 from fiberloom.errors import InputError
 
@@ -30,7 +30,7 @@ TWIN = "twin:"
 
 
 @dataclass(frozen=True, kw_only=True)
-class NightOptions(JsonOptions):
+class NightOptions(DatabaseOptions, JsonOptions):
     """Of `fiberloom night`. None: as the queue says."""
 
     queue: Annotated[Path, typer.Argument(help="TOML file of the night: its fields, and which array.")]
@@ -53,19 +53,13 @@ class NightOptions(JsonOptions):
         typer.Option(help="Of the supply for all motors, W, in place of the queue's; plans keep it."),
     ] = None
     out: Annotated[Path, typer.Option(help="Folder of store, runs and reports.")] = Path("runs")
-    database: Annotated[
-        str, typer.Option(help="URL of the store, e.g. postgresql+psycopg://...; default: a file in --out.")
-    ] = ""
 
     @property
     def place(self) -> Place:
         """Where the night is kept. InputError where the database is no URL."""
         from fiberloom.store.place import NUMBERED, Place
 
-        if self.database and "://" not in self.database:
-            raise InputError(
-                f"--database: '{self.database}' is no URL; for a file in a folder give --out alone"
-            )
+        self.check_database()
         return Place(self.out, NUMBERED, self.database)
 
 

@@ -262,7 +262,10 @@ def check_camera(options: Any) -> None:
     excluded(options.exclude)
     if options.bus is not None and not options.bus.startswith(TWIN):
         if options.camera is None:
-            raise InputError("--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0")
+            raise InputError(
+                "--bus: name the camera too, e.g. --camera alpaca://10.1.10.40:11111/0; --camera none "
+                "where no camera looks (MEGARA, MOONS)"
+            )
         for option, text in (("--faults", options.faults), ("--errors", options.errors)):
             if text:
                 raise InputError(f"{option} goes with the twin inside of this process")

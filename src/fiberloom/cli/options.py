@@ -77,6 +77,22 @@ class JsonOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DatabaseOptions:
+    """Of a command that keeps runs and nights."""
+
+    database: Annotated[
+        str, typer.Option(help="URL of the store, e.g. postgresql+psycopg://...; default: a file in --out.")
+    ] = ""
+
+    def check_database(self) -> None:
+        """Raises InputError where the database is no URL."""
+        if self.database and "://" not in self.database:
+            raise InputError(
+                f"--database: '{self.database}' is no URL; for a file in a folder give --out alone"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class TimingsOptions:
     """Of a command that takes long."""
 

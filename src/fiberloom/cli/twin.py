@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -18,14 +18,13 @@ from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
     from fiberloom.twin.cobras.served import ServedCobras
-    from fiberloom.twin.desi.server import DesiServer
     from fiberloom.twin.server.address import Address
     from fiberloom.twin.server.camera.process import CameraProcess
+    from fiberloom.twin.server.can_units import CanUnitsServer
     from fiberloom.twin.server.server import TwinServer
-    from fiberloom.twin.steppers.moons import MoonsBus
-    from fiberloom.twin.steppers.served import GatewayServer
+    from fiberloom.twin.steppers.served import GatewayServer, RadioServer
 
-    Served: TypeAlias = TwinServer | DesiServer | ServedCobras | GatewayServer
+    Served: TypeAlias = TwinServer | CanUnitsServer | ServedCobras | GatewayServer | RadioServer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +118,7 @@ def twin(options: TwinOptions) -> None:
 
     plane = options.plane()
     protocol = plane.instrument.drive.protocol
-    other: dict[str, Callable[..., Served]] = {"desi": _desi_server, "pfs": _cobras, "moons": _gateways}
-    serve = other.get(protocol)
+    serve = _OTHERS.get(protocol)
     count = 1 if serve else options.devices or device_count(len(plane))
     addresses = addresses_of(options.listen, count)
     _warn_of_the_network(options, addresses)
@@ -132,11 +130,8 @@ def twin(options: TwinOptions) -> None:
         folder = options.jaeger_config.resolve().parent
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(options.jaeger_config, jaeger_config(addresses, folder))
-    greeting = _greeting(len(plane), addresses)
-    if protocol == "pfs":
-        greeting = f"{len(plane)} cobras: fpga://{addresses[0]}; Ctrl-C ends"
-    if protocol == "moons":
-        greeting = f"{len(plane)} units: gateways://{addresses[0]}, three ports in a row; Ctrl-C ends"
+    where = _WHERE.get(protocol, "").format(n=len(plane), address=addresses[0])
+    greeting = f"{where}; Ctrl-C ends" if where else _greeting(len(plane), addresses)
     report = asyncio.run(_serve(server, camera, options, greeting))
     if options.as_json:
         options.print_json(report)
@@ -185,7 +180,7 @@ def _refuse_sdssv_options(options: TwinOptions) -> None:
             raise InputError(f"--{name.replace('_', '-')}: goes with SDSS-V's positioners; leave it out")
 
 
-def _desi_server(options: TwinOptions, plane: Any, address: Address) -> DesiServer:
+def _desi_server(options: TwinOptions, plane: Any, address: Address) -> CanUnitsServer:
     """Another kind of motors behind one device; what is SDSS-V's alone is refused."""
     from fiberloom.twin.desi.server import DesiServer
     from fiberloom.twin.desi.source import DesiSource
@@ -209,19 +204,45 @@ def _cobras(options: TwinOptions, plane: Any, address: Address) -> ServedCobras:
     return ServedCobras(source.array, address, options.speed)
 
 
-def _gateways(options: TwinOptions, plane: Any, address: Address) -> GatewayServer:
-    """MOONS: three gateways in front of all units."""
+def _steppers(options: TwinOptions, plane: Any, address: Address) -> Served:
+    """MOONS behind three gateways, MEGARA at the ports of a CAN@net device, LAMOST over the air."""
     from fiberloom.twin.faults.clock import FaultClock
+    from fiberloom.twin.server.can_units import CanUnitsServer
     from fiberloom.twin.steppers.kinds import KINDS
-    from fiberloom.twin.steppers.served import GatewayServer
+    from fiberloom.twin.steppers.megara import MegaraBus
+    from fiberloom.twin.steppers.moons import MoonsBus
+    from fiberloom.twin.steppers.served import GatewayServer, RadioServer, RobotUnits
     from fiberloom.twin.steppers.source import StepperSource
 
     _refuse_sdssv_options(options)
-    source = StepperSource(
-        plane, KINDS["moons"], options.seed, "noise", options.faults, options.errors or "none"
-    )
-    faults = FaultClock(source.bus, source.schedule, options.seed)
-    return GatewayServer(cast("MoonsBus", source.bus), address, faults, options.speed)
+    protocol = plane.instrument.drive.protocol
+    wrong = options.faults, options.errors or "none"
+    source = StepperSource(plane, KINDS[protocol], options.seed, "noise", *wrong)
+    bus, faults = source.bus, FaultClock(source.bus, source.schedule, options.seed)
+    if isinstance(bus, MoonsBus):
+        return GatewayServer(bus, address, faults, options.speed)
+    if not isinstance(bus, MegaraBus):
+        raise InputError(f"{plane.instrument.name}: its twin is not served")
+    if protocol == "lamost":
+        return RadioServer(bus, address, faults, options.speed)
+    return CanUnitsServer(RobotUnits(bus), address, faults, options.speed)
+
+
+_OTHERS: dict[str, Callable[..., Served]] = {
+    "desi": _desi_server,
+    "pfs": _cobras,
+    "lamost": _steppers,
+    "megara": _steppers,
+    "moons": _steppers,
+}
+"""By protocol; left out: SDSS-V's."""
+_WHERE = {
+    "pfs": "{n} cobras: fpga://{address}",
+    "lamost": "{n} units: radio://{address}",
+    "megara": "{n} robots: cannet://{address}, a bus at each of four CAN ports",
+    "moons": "{n} units: gateways://{address}, three ports in a row",
+}
+"""What a host is to name, where it is not a row of CAN@net devices."""
 
 
 def _camera(options: TwinOptions, plane: Any, server: Served) -> CameraProcess:

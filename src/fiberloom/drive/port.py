@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -234,6 +234,19 @@ class SearchesStops(Protocol):
 
     async def home(self, ids: Iterable[int]) -> Results:
         """Searches the stops of these, folded, all at once; how each ended. Who ends well is there."""
+        ...
+
+
+@runtime_checkable
+class CountsSteps(Protocol):
+    """A drive whose positioners count from a datum: a search of it tells what was lost since the last one."""
+
+    def lost_steps(self) -> dict[int, str]:
+        """What the latest searches have found to be lost, by number; each is told once."""
+        ...
+
+    def near_datum(self) -> Flags:
+        """(N,) which have counted so near to their datum that a search finds it at once: they are folded."""
         ...
 
 

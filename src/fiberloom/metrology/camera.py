@@ -143,3 +143,16 @@ class Camera(Protocol):
         """Takes an image now. `expected_mm` (N, 2): where each metrology fibre should be, NaN where
         it is not known; a camera with images needs it to tell the spots apart."""
         ...
+
+
+class NoCamera:
+    """What an instrument without a camera is observed with: nothing is seen. Implements `Camera`."""
+
+    def __init__(self, n: int) -> None:
+        """`n` positioners."""
+        self._n = n
+
+    def measure(self, expected_mm: Floats | None = None) -> Measurement:
+        """No fibre is seen, wherever it is expected."""
+        nothing = np.full(self._n, np.nan)
+        return Measurement(nothing, nothing, np.zeros(self._n, dtype=bool), 0.0)

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
+from fiberloom.timing import part
 from fiberloom.typing import Array, Flags, Floats, Ints
 from fiberloom.units import UM_PER_MM
 
@@ -132,6 +133,7 @@ class FieldTransform:
         jacobian: Floats = (np.eye(2) + bent) @ self.similarity.jacobian
         return jacobian
 
+    @part("transform")
     def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
         """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
         b = self._basis(self.similarity.to_mm(xy_px))
@@ -142,6 +144,7 @@ class FieldTransform:
         both: Floats = own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
         return both
 
+    @part("transform")
     def noise(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
         """(n, 2, 2) mm^2 by which positions differ from image to image; `covariance_px2`: of the spots."""
         b = self._basis(self.similarity.to_mm(xy_px))

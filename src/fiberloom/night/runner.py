@@ -17,6 +17,7 @@ from typing import Any
 from fiberloom.drive.sdssv import SdssvDrive
 from fiberloom.errors import InputError
 from fiberloom.hardware import Hardware
+from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.night.asked.orders import QueueOrders
@@ -324,13 +325,14 @@ class NightRunner:
             self.clock.bus = motion.drive
 
     def _ready(self, visit: int, step: Position, seen: Observation, ahead: Ahead | None) -> None:
-        summary, last = seen.summary(), seen.moves[-1]
+        summary, last = seen.summary(), seen.final
         planned = "" if ahead is None or ahead.plan is None else ahead.plan.told
         figures = {
             "run_id": seen.about["run"],
             "plan_digest": digest_of(seen.moves[0].plan),
             "plan_from": planned or "planned now",
-            "on_target": summary["n_within_requirement"],
+            # as the images say: of a real array nothing else is known, and the page's picture has the same
+            "on_target": last.status.count(FibreStatus.ON_TARGET),
             "assigned": summary["n_assigned"],
             "rms_um": summary["moves"][-1]["measured_rms_um"],
         }

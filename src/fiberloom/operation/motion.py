@@ -380,6 +380,11 @@ class FieldMotion:
         return self._sdssv.care
 
     @property
+    def has_client(self) -> bool:
+        """Whether the positioners take SDSS-V's commands."""
+        return isinstance(self.drive, SdssvDrive)
+
+    @property
     def _sdssv(self) -> SdssvDrive:
         if not isinstance(self.drive, SdssvDrive):
             name = self.plane.instrument.name

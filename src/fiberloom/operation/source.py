@@ -18,14 +18,9 @@ from fiberloom.drive.desi.drive import DesiDrive
 from fiberloom.drive.desi.frames import positioner_of
 from fiberloom.drive.desi.maps.kept import read_maps
 from fiberloom.drive.desi.maps.learned import PLANETARY, LearnedMaps
-from fiberloom.drive.moons import MoonsLink, WaveformMaker
-from fiberloom.drive.moons.tcp import TcpGateways, gateway_address
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
 from fiberloom.drive.pfs.streams import over_tcp, tcp_address
 from fiberloom.drive.piezo import MotorMaps, read_summary_maps
-from fiberloom.drive.steppers import KnownUnits, StepperDrive
-from fiberloom.drive.steppers.drive import TRIAL_DEG
-from fiberloom.drive.steppers.kept import read_units
 from fiberloom.errors import InputError
 from fiberloom.hardware import Guider, Hardware
 from fiberloom.instruments import FocalPlane
@@ -35,8 +30,6 @@ from fiberloom.typing import Floats
 
 FPGA = "fpga://"
 """Before the address of the boards of PFS."""
-MOONS_GATEWAYS = "gateways://"
-"""Before the address of the first gateway of MOONS."""
 
 
 class Source(Protocol):
@@ -299,44 +292,3 @@ class OpenedCobras(OutsideArray):
     def keep(self, file: Path | None) -> None:
         """InputError for any `file`: what cobras teach is not kept."""
         raise InputError("--adapt: what cobras teach is not kept; leave it out")
-
-
-class OpenedMoons(OutsideArray):
-    """Units of MOONS behind their gateways on TCP, and a camera that scores. Implements `Source`."""
-
-    def __init__(
-        self, plane: FocalPlane, address: str, camera: Camera, camera_name: str = "", speed: float = 1.0
-    ) -> None:
-        """`plane` of the units; `address`: HOST or HOST:PORT of the first gateway; `camera`, and its address;
-        `speed`: seconds of the gateways in one of ours.
-        """
-        self.plane, self.camera, self.camera_name, self.address = plane, camera, camera_name, address
-        self._where, self._speed = gateway_address(address), speed
-        self._known: KnownUnits | None = None
-
-    @property
-    def bus_name(self) -> str:
-        """The address of the first gateway."""
-        return f"{MOONS_GATEWAYS}{self.address}"
-
-    async def open(self) -> Hardware:
-        """Connects. InputError where no gateway answers, or nothing is known of the units."""
-        if self._known is None:
-            raise InputError(
-                f"{self.bus_name}: name what a bench has found of its units by --calibration, a file of "
-                "'fiberloom calibrate steppers'"
-            )
-        gateways = TcpGateways(*self._where, self._speed)
-        await gateways.open()
-        maker = WaveformMaker.of(self.plane.instrument, TRIAL_DEG)
-        drive = StepperDrive(self.plane, MoonsLink(gateways), self._known, maker)
-        vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
-
-    def know(self, file: Path) -> None:
-        """The units are those of a `file` of `calibrate steppers`. InputError where it is none."""
-        self._known = read_units(file, self.plane)
-
-    def keep(self, file: Path | None) -> None:
-        """InputError for any `file`: steppers teach nothing that is kept."""
-        raise InputError("--adapt: steppers teach nothing that is kept; leave it out")

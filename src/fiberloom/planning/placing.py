@@ -5,12 +5,14 @@ import numpy as np
 from fiberloom._core import planning as core
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning.bodies import CollisionBodies, approach_rad, beside
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
 _TRIES = 48
 
 
+@part("placing")
 def place_by_worth(
     plane: FocalPlane,
     candidates_deg: Floats,
@@ -74,8 +76,8 @@ class _Placing:
         """Puts one on its best free candidate; where none is free it stays where it is."""
         limit = self.rank[row] if better_than else len(order)
         good = np.flatnonzero(self.clear[row][order[:limit]])[:_TRIES]
-        for part in np.array_split(good, max(1, len(good) // 8)):
-            free = part[self._free(row, self.goals[row, order[part]])]
+        for tried in np.array_split(good, max(1, len(good) // 8)):
+            free = tried[self._free(row, self.goals[row, order[tried]])]
             if len(free):
                 self.angles[row], self.rank[row] = self.goals[row, order[free[0]]], free[0]
                 return

@@ -19,6 +19,7 @@ from fiberloom.bus.transport import TransportLost
 from fiberloom.connect import TWIN, is_shared
 from fiberloom.errors import InputError, StoppedError, one_line
 from fiberloom.field import Field
+from fiberloom.health.status import FibreStatus
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
 from fiberloom.operation.results import Observation
@@ -93,16 +94,19 @@ class RunningCommand:
 class ServedArray:
     """One array. Methods may be called from any thread; they block for the time of a look at the store."""
 
-    def __init__(self, arrayed: Field, book: ArrayBook, bus: str, folder: Path, hub: Hub) -> None:
+    def __init__(
+        self, arrayed: Field, book: ArrayBook, bus: str, folder: Path, hub: Hub, database: str = ""
+    ) -> None:
         """`arrayed`: the field with its bus and camera; `book`: of the array; `bus`: its address;
-        `folder`: of the record of observations; `hub`: where events go."""
+        `folder`: of the record of observations; `hub`: where events go; `database`: URL of that record,
+        where it is no file in the folder."""
         few_heaps()
         self.field, self.book, self.bus, self.hub = arrayed, book, bus, hub
-        self.place = Place(folder, NUMBERED)
+        self.place = Place(folder, NUMBERED, database)
         self.commands = CommandBook(book)
         self.alarms = AlarmBoard(AlarmTable(book), hub.publish, self._send)
         self.live = Live(arrayed.plane, hub.publish, self.alarms.event, self.alarms.judged)
-        self.health = HealthFollower(arrayed.plane, self.place.store)
+        self.health = HealthFollower(arrayed.plane, self.place)
         self.sender: Callable[[Alarm], None] = lambda _: None
         self.reached = True
         """The last command has reached the positioners, or none was given yet."""
@@ -248,10 +252,10 @@ class ServedArray:
         """What is on record of one positioner, and what health says. InputError for one that there is not."""
         self._check_known([positioner_id])
         found: dict[str, Any] = {"measurements": [], "events": [], "alarms": []}
-        if self.place.store.exists():
+        if self.place.begun:
             from fiberloom.store import Store
 
-            with Store.read(self.place.store) as store:
+            with Store.read(self.place.record) as store:
                 found = positioner_history(store, positioner_id)
         mine = [e for e in self.book.exclusions(past=True) if e.positioner_id == positioner_id]
         known, image_utc = self.book.places(np.array([positioner_id])), self.live.cutout_utc
@@ -395,7 +399,7 @@ class ServedArray:
                 if self.live.heard:
                     self.alarms.looked_again(running.begun)
             self._look_at_state()
-            self._propose()
+            self.propose()
             self.alarms.clear("store", "store")  # all of this was written
         except InputError as error:
             self.alarms.raise_("store", "store", str(error))
@@ -434,8 +438,9 @@ class ServedArray:
                 self.alarms.raise_(code, "array", text or "arms have touched")
         self.hub.publish("array", now)
 
-    def _propose(self) -> None:
-        """What health says of those that a person has not excluded yet."""
+    def propose(self) -> None:
+        """Health judges the runs that have ended since; what it says of those that a person has not excluded
+        yet is an alarm."""
         self.health.follow()
         excluded = {e.positioner_id for e in self.book.exclusions()}
         found = self.health.proposals().items()
@@ -497,10 +502,14 @@ async def _others() -> None:
 
 
 def _told_of(seen: Observation) -> str:
+    """How an observation has ended: by its images, and on a twin in truth too, where that differs."""
     summary = seen.summary()
-    rms_um = summary["moves"][-1]["measured_rms_um"] if summary["moves"] else None
-    within = f"{summary['n_within_requirement']} of {summary['n_assigned']} fibres within the requirement"
-    return within if rms_um is None else f"{within}, {rms_um:.2f} um rms as measured"
+    within, truly = seen.final.status.count(FibreStatus.ON_TARGET), summary["n_within_requirement"]
+    rms_um = summary["moves"][-1]["measured_rms_um"]
+    told = [f"{within} of {summary['n_assigned']} fibres within the requirement"]
+    told += [] if rms_um is None else [f"{rms_um:.2f} um rms as measured"]
+    told += [] if truly == within else [f"in the truth of the twin {truly}"]
+    return ", ".join(told)
 
 
 def _told_of_session(report: SessionReport) -> str:

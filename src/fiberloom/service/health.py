@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import threading
 from typing import Any
 
 from fiberloom.assignment.relax import relaxed_planes
@@ -10,6 +10,7 @@ from fiberloom.health.history import passages
 from fiberloom.health.monitor import Finding, HealthMonitor, State
 from fiberloom.instruments import FocalPlane
 from fiberloom.store import Store
+from fiberloom.store.place import Place
 from fiberloom.store.run import RUNNING
 
 PROPOSED = (State.DEGRADED, State.DISABLED)
@@ -19,17 +20,22 @@ PROPOSED = (State.DEGRADED, State.DISABLED)
 class HealthFollower:
     """What past runs of a store say of every positioner; each run is read once."""
 
-    def __init__(self, plane: FocalPlane, store: Path) -> None:
-        self._monitor, self._store, self._done = HealthMonitor(plane), store, 0
+    def __init__(self, plane: FocalPlane, place: Place) -> None:
+        """`plane`: of the positioners; `place`: where the runs are kept."""
+        self._monitor, self._place, self._done = HealthMonitor(plane), place, 0
+        self._lock = threading.Lock()
         self._hashes = {p.config_hash() for p in (plane, *relaxed_planes(plane))}
         self._found: dict[int, Finding] = {}
         self._states: dict[int, str] = {}
 
     def follow(self) -> None:
-        """Reads the runs that have ended since."""
-        if not self._store.exists():
-            return
-        with Store.read(self._store) as store:
+        """Reads the runs that have ended since. Threads may come together: each run counts once."""
+        if self._place.begun:
+            with self._lock:
+                self._follow()
+
+    def _follow(self) -> None:
+        with Store.read(self._place.record) as store:
             for run in store.runs():
                 if run.id <= self._done or run.status == RUNNING:
                     continue

@@ -44,6 +44,11 @@ class Place:
         return self.database or str(self.store)
 
     @property
+    def begun(self) -> bool:
+        """Is the store there? A database is, as soon as it was opened once."""
+        return bool(self.database) or self.store.exists()
+
+    @property
     def numbered(self) -> bool:
         """Has every run a folder of its own?"""
         return self.pattern != BESIDE

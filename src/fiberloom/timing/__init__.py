@@ -1,10 +1,12 @@
 """Where the seconds of a command go: by its stages, and in each by kind of work.
 
-Functions that do such work are marked with `part`. Nothing is measured before `begin`.
+Functions that do such work are marked with `part`; modules that are read count as imports. Nothing is
+measured before `begin`: what passed until then counts as imports, too.
 """
 
 from __future__ import annotations
 
+import builtins
 import functools
 import threading
 import time
@@ -16,7 +18,8 @@ Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 _STARTED_S = time.perf_counter()
-_OTHER = "other"
+_OTHER, _IMPORTS = "other", "imports"
+_import = builtins.__import__
 
 
 class Timings:
@@ -30,6 +33,7 @@ class Timings:
         self._begun_s, self._stage, self._stage_s = since_s, "start", since_s
         self._whole_s: dict[str, float] = defaultdict(float)
         self._part_s: dict[tuple[str, str], float] = defaultdict(float)
+        self._part_s[self._stage, _IMPORTS] = time.perf_counter() - since_s
         self._own = threading.local()
         self._lock = threading.Lock()
 
@@ -86,11 +90,13 @@ _timings: list[Timings] = []
 def begin() -> Timings:
     """From now on parts are measured; the first stage is what passed since this module was imported."""
     _timings[:] = [Timings(_STARTED_S)]
+    builtins.__import__ = part(_IMPORTS)(_import)
     return _timings[0]
 
 
 def end() -> None:
     """Nothing is measured any more."""
+    builtins.__import__ = _import
     _timings.clear()
 
 

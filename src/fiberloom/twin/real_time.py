@@ -29,6 +29,19 @@ class Lateness:
     p50_ms: float
     p99_ms: float
     worst_ms: float
+    late_by_cause: dict[str, int]
+    """Ticks that were not kept, by what took most of the time from when they were due to their end.
+
+    *woken*: the thread slept, and was woken too late; *held*: others touched the twin; *frames*: frames were
+    taken in and handed out; *taken*: the system gave the core to others; *blocked*: the thread waited for a
+    lock; *paged*: it touched new memory; *computed*: the computation was long. One that had to wait for
+    another has the cause of that."""
+    first_by_cause: dict[str, int]
+    """Of them, those that did not have to wait for another."""
+    woken_ms: tuple[float, float, float]
+    """By how much the thread was late when it had slept until a tick was due: half, 99 %, the worst."""
+    computing_ms: tuple[float, float, float]
+    """How long the computation of a tick took: half, 99 %, the longest."""
     given_up_s: float
     """Wall time by which the clock was set back because the twin had fallen behind by over a second."""
 
@@ -105,6 +118,10 @@ class RealTimeTwin:
             p50_ms=1e3 * p["late_p50_s"],
             p99_ms=1e3 * p["late_p99_s"],
             worst_ms=1e3 * p["late_worst_s"],
+            late_by_cause=p["late_by_cause"],
+            first_by_cause=p["first_by_cause"],
+            woken_ms=_ms(p["woken_s"]),
+            computing_ms=_ms(p["computing_s"]),
             given_up_s=p["given_up_s"],
         )
 
@@ -115,6 +132,11 @@ class RealTimeTwin:
             if fd >= 0:
                 os.close(fd)
         self._read_fd = self._write_fd = -1
+
+
+def _ms(spread_s: Iterable[float]) -> tuple[float, float, float]:
+    half, most, worst = (1e3 * value for value in spread_s)
+    return half, most, worst
 
 
 def _tick_of(time_s: float) -> int:

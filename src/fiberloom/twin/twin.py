@@ -127,6 +127,7 @@ class Twin:
         """Instruction set of the inner loops."""
         return self._core.kernel
 
+    @part("twin")
     def send(self, frames: Iterable[Sequence[Any]]) -> None:
         """Puts frames (identifier, data, ...) on the bus now, in order."""
         for frame in frames:

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.stats import ncx2
 
-from fiberloom.calibration.fibres.throughput import StarProfile, light
+from fiberloom.calibration.fibres.throughput import StarProfile, light, light_share
 from fiberloom.errors import InputError
 
 CORE_UM = 120.0
@@ -67,3 +67,11 @@ def test_all_light_is_in_a_wide_fibre_and_a_moffat_has_wings():
 def test_a_profile_without_a_core_is_refused(exponent):
     with pytest.raises(InputError, match="exponent"):
         StarProfile(exponent)
+
+
+@pytest.mark.parametrize("exponent", [2.5, 3.5, np.inf])
+def test_the_share_alone_has_the_same_bits(exponent):
+    profile = StarProfile(exponent)
+    r, w = np.meshgrid([0.0, 5.0, 60.0, 130.0], [50.0, 85.0, 140.0])  # at 60 um the rim meets the star
+    whole = light(profile, r, w, CORE_UM).share
+    np.testing.assert_array_equal(light_share(profile, r, w, CORE_UM), whole)

@@ -42,6 +42,30 @@ def test_a_goal_beyond_the_units_own_switches_is_named_and_not_loaded():
     assert [leg.rows.tolist() for leg in legs] == [[1]]
 
 
+def test_one_that_cannot_run_its_waveform_stands_in_the_plan_of_the_others(monkeypatch):
+    """They were planned as if it moved, and would run into it."""
+    plane, n = fl.FocalPlane.of("moons", seed=0, n=7), 7
+    here = np.tile(plane.instrument.positioner.park_deg, (n, 1))
+    goal = np.column_stack([np.linspace(-150.0, 150.0, n), np.full(n, 170.0)])
+    known = KnownUnits.nominal(AxisSteps.of(plane.instrument), n)
+    real, stood = maker._planned, []
+
+    def planned(wanted, moves):
+        stood.append(np.flatnonzero(~moves).tolist())
+        return real(wanted, moves)
+
+    def unfit(instrument, steps, before, waves):
+        return {3: "a reason"} if len(stood) == 1 else {}
+
+    monkeypatch.setattr(maker, "_planned", planned)
+    monkeypatch.setattr(maker, "_unfit", unfit)
+    wanted = Wanted(plane, here, goal, np.zeros(n))
+    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(n, dtype=bool), np.zeros((n, 2)), known)
+    assert stood == [[], [3]]
+    assert refused == {3: "a reason"}
+    assert [leg.rows.tolist() for leg in legs] == [[0, 1, 2, 4, 5, 6]]
+
+
 def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
     """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
     plane = fl.FocalPlane.of("moons", seed=0, n=1)

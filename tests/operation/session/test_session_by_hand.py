@@ -60,10 +60,9 @@ def test_a_datum_holds_where_both_are_set_and_power_has_not_gone(bits, powered):
 def test_a_collision_counts_where_the_last_move_did_not_end(interrupted, collided):
     reports = [SimpleNamespace(positioner=p) for p in (9, 4, 9)]
     moves = [SimpleNamespace(interrupted=i) for i in interrupted]
-    drive = SimpleNamespace(model=SimpleNamespace(reports=True))
-    motion = SimpleNamespace(client=SimpleNamespace(collisions=reports), moves=moves, drive=drive)
+    motion = SimpleNamespace(client=SimpleNamespace(collisions=reports), moves=moves, has_client=True)
     assert SessionMotion.collided.fget(motion) == collided
-    quiet = SimpleNamespace(client=SimpleNamespace(collisions=[]), moves=moves, drive=drive)
+    quiet = SimpleNamespace(client=SimpleNamespace(collisions=[]), moves=moves, has_client=True)
     assert SessionMotion.collided.fget(quiet) == []
 
 

@@ -35,11 +35,16 @@ def test_beside_one_in_a_pocket_as_many_arrive_as_can(seed, buffer_mm, kept_away
     assert "not beside all that arrive" in proven[kept_away]
 
 
-# Beside 325 565, in a pocket, can make way if both approach otherwise. 677 and 1353, 1056 and 1149 pass each
-# other in a joint search that looks farther than the first one.
+# Beside 325 565, in a pocket, can make way if both approach otherwise. 677 and 1353, 1056 and 1149, 665 and
+# 831 pass each other in a joint search.
 @pytest.mark.parametrize(
     ("seed", "buffer_mm", "around", "within_mm", "refused"),
-    [(927, 2.0, 325, 60.0, {565}), (473, 2.5, 677, 40.0, set()), (742, 2.0, 1056, np.inf, set())],
+    [
+        (927, 2.0, 325, 60.0, {565}),
+        (473, 2.5, 677, 40.0, set()),
+        (742, 2.0, 1056, np.inf, set()),
+        (932, 2.0, 665, np.inf, set()),
+    ],
 )
 def test_knots_that_were_given_up_once(seed, buffer_mm, around, within_mm, refused):
     array = array_at(buffer_mm)
@@ -50,6 +55,17 @@ def test_knots_that_were_given_up_once(seed, buffer_mm, around, within_mm, refus
     made = plan(plane, start_deg, goal_deg, seed=seed, settings=settings)
     assert set(made.refused) == refused
     assert verify(plane, made, start_deg=start_deg, goal_deg=goal_deg).ok
+
+
+# Before floods of two told whether there is a way in time: 1.409, 1.355 and 2.388.
+@pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(261, 2.0, 1.3), (590, 2.0, 1.3), (473, 2.5, 1.3)])
+def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, most):
+    array = array_at(buffer_mm)
+    ends_deg = array.ends_of(seed)
+    settings = PlanSettings(collision_buffer_mm=buffer_mm)
+    made = plan(array.plane, *ends_deg, seed=seed, settings=settings)
+    assert made.refused == {}
+    assert made.duration_s < most * bound_s(array.plane, *ends_deg)
 
 
 def test_what_holds_the_slowest_plan_up():

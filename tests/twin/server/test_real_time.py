@@ -75,6 +75,20 @@ def test_each_tick_is_counted_once():
     assert late.ticks > 500  # the moves: 0.5 s each
     assert 0 <= late.kept <= late.ticks
     assert 0.0 < late.p50_ms <= late.p99_ms <= late.worst_ms
+    assert sum(late.late_by_cause.values()) == late.ticks - late.kept
+    assert all(late.first_by_cause[cause] <= n for cause, n in late.late_by_cause.items())
+
+
+def test_a_clock_that_is_too_quick_for_the_computation_is_late_by_that():
+    plane = generate(load_instrument("sdssv"), seed=8, n_positioners=300)
+    many = Twin(plane, draw_units(plane, seed=2), seed=1, threads=1, neighbours=False)
+    with (paced := Run(speed=100.0, of=many)) as real:  # a tick of 5 us, for 600 axes
+        real.post([(encode(int(i), GOTO, 1), GO[0][1], 0, 0.0) for i in plane.positioner_id])
+        paced.wait(3.0)
+        with real.held():
+            late = real.lateness()
+    assert late.kept < 0.1 * late.ticks
+    assert late.late_by_cause["computed"] + late.late_by_cause["taken"] > 0.8 * late.ticks
 
 
 def test_while_a_tick_is_held_the_clock_goes_on_and_ticks_are_late():
@@ -90,6 +104,9 @@ def test_while_a_tick_is_held_the_clock_goes_on_and_ticks_are_late():
     # the first tick that had to wait waited for the whole hold
     assert late.worst_ms > 45.0
     assert late.kept < late.ticks
+    # and so did the others of these 50 ms, which are told apart from it
+    assert late.late_by_cause["held"] >= 50
+    assert late.first_by_cause["held"] == 1
 
 
 def test_ticks_are_computed_between_those_who_hold_in_turn():

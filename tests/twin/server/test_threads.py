@@ -78,3 +78,14 @@ def test_bands_of_an_image_do_not_touch_each_other():
     sky, detector = (20.0, 0.01, 0.02), (1.5, 3.0, 100.0, 6e4)
     one, four = (metrology.expose(light_e, sky, detector, seed=5, threads=n) for n in (1, 4))
     np.testing.assert_array_equal(one, four)
+
+
+def test_pixels_made_together_are_those_made_one_by_one():
+    """A faint pixel has its neighbours made one by one; those before it have drawn the same numbers."""
+    light_e = np.linspace(0.0, 5e4, 20 * 150).reshape(20, 150).astype(np.float32)
+    faint_e = light_e.copy()
+    faint_e[:, -1], faint_e[:, 100] = -90.0, -90.0
+    sky, detector = [100.0, 0.1, 0.2], [1.3, 10.0, 500.0, 4e4]
+    together, alone = (metrology.expose(e, sky, detector, seed=5) for e in (light_e, faint_e))
+    np.testing.assert_array_equal(together[:, :100], alone[:, :100])
+    assert (together[:, 100] != alone[:, 100]).all()

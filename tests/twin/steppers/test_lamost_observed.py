@@ -1,16 +1,20 @@
 """LAMOST on the twin: a blind move without a table, and a correction that weighs a noisy camera."""
 
+import numpy as np
+
 import fiberloom as fl
 from fiberloom.drive.lamost import RadioPacket, coordinator_of, decoded, encoded
+from fiberloom.metrology.pipeline import ImageCamera
 from fiberloom.targets.generate import random_targets
+from fiberloom.twin.motors.arrays import source_of
 
 PLANE = fl.FocalPlane.of("lamost", seed=0, n=80)
 TARGETS = random_targets(PLANE, 220, seed=1)
 
 
-def observed(folder, faults="", **options):
+def observed(folder, faults="", camera="noise", **options):
     """Summary of a field, and its source."""
-    field = fl.Field.twin(PLANE, seed=0, camera="noise", faults=faults)
+    field = fl.Field.twin(PLANE, seed=0, camera=camera, faults=faults)
     return field.run.observe(TARGETS, out=folder, **options).summary(), field.source
 
 
@@ -36,6 +40,38 @@ def test_broken_units_are_flagged_and_the_rest_goes_on(tmp_path):
     assert {fault.positioner_id for fault in source.faults} <= flagged
     assert summary["n_within_requirement"] >= 0.97 * (summary["n_assigned"] - len(flagged))
     assert summary["contacts_true"] == 0
+
+
+def test_an_image_is_as_accurate_as_the_published_20_um_and_says_so():
+    hardware = source_of(PLANE, 0, "image").hardware
+    assert isinstance(hardware.camera, ImageCamera)
+    expected_mm = PLANE.forward(*PLANE.offline_position_deg.T)
+    square, told = [], []
+    for _ in range(3):
+        seen = hardware.camera.measure(expected_mm)
+        assert seen.seen.all()
+        off_mm = np.column_stack([seen.x_mm, seen.y_mm]) - hardware.truth.fibre_xy("fibre")
+        square.append(np.sum(off_mm**2, axis=1))
+        told.append(np.trace(seen.covariance_mm2, axis1=1, axis2=2))
+    rms_um, told_um = (1e3 * np.sqrt(np.mean(one)) for one in (square, told))
+    assert 18.0 < rms_um < 24.0  # 240 fibres: 20 um to 5 %, and what neighbours share of the air
+    assert 0.8 < told_um / rms_um < 1.2
+
+
+def test_a_field_is_observed_through_images(tmp_path):
+    summary, source = observed(tmp_path / "run", "dark=1", camera="image", pages="none")
+    blind, corrected = (move["healthy"] for move in summary["moves"])
+    assert 35.0 < blind["rms_um"] < 60.0
+    assert corrected["rms_um"] < 16.0  # as with points of 20 um
+    assert summary["n_within_requirement"] >= 0.97 * summary["n_assigned"]
+    assert summary["faults"]["dark"] == [source.faults[0].positioner_id]
+    assert summary["contacts_true"] == 0
+
+
+def test_fiducials_are_spread_over_the_field():
+    plane = fl.FocalPlane.of("lamost")
+    assert len(plane.fiducials) == 199
+    assert np.hypot(*plane.fiducials[:, :2].T).max() > 0.9 * np.hypot(*plane.centres_mm.T).max()
 
 
 def test_packets_by_hand():

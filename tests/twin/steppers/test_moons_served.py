@@ -1,51 +1,22 @@
 """MOONS over TCP: a whole observation through three ports, and what is told where there is none."""
 
 import asyncio
-import os
-import socket
-from contextlib import closing, suppress
 
 import numpy as np
 import pytest
 
 import fiberloom as fl
 from fiberloom.connect import open_hardware
+from fiberloom.drive.kept_connection import KeptConnection
 from fiberloom.drive.moons.tcp import TcpGateways, gateway_address
-from fiberloom.drive.steppers.kept import save_units
 from fiberloom.errors import InputError
-from fiberloom.field import Field
-from fiberloom.operation.source import OpenedMoons
 from fiberloom.targets.generate import random_targets
 from fiberloom.twin.camera.noise_camera import NoiseCamera
-from fiberloom.twin.faults.clock import FaultClock
-from fiberloom.twin.server.address import Address
 from fiberloom.twin.steppers.kinds import KINDS
-from fiberloom.twin.steppers.served import GatewayServer
 from fiberloom.twin.steppers.source import StepperSource
+from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, observed
 
-N, SEED, SPEED = 7, 0, 15.0
-
-
-def free_ports():
-    """The first of three in a row that nothing listens on."""
-    # each worker of a test run begins elsewhere
-    for first in range(20000 + 3 * (os.getpid() % 1000), 60000, 3):
-        with suppress(OSError):
-            for port in range(first, first + 3):
-                with closing(socket.socket()) as one:
-                    one.bind(("127.0.0.1", port))
-            return first
-    raise AssertionError("no ports are free")
-
-
-class Scored:
-    """The camera that scores, beside the server's process in a real array."""
-
-    def __init__(self, server):
-        self._camera = NoiseCamera(server.bus.array, 1.0, SEED)
-
-    def measure(self, expected_mm=None):
-        return self._camera.measure(expected_mm)
+N = 7
 
 
 @pytest.fixture(scope="module")
@@ -53,31 +24,9 @@ def plane():
     return fl.FocalPlane.of("moons", seed=SEED, n=N)
 
 
-def observed(plane, folder, faults=""):
-    """Summary of a field by TCP, the true errors in um of those with a target, and the server."""
-    source = StepperSource(plane, KINDS["moons"], SEED, "noise", faults)
-    save_units(source.known, plane, folder / "units.npz")
-    clock = FaultClock(source.bus, source.schedule, SEED)
-    server = GatewayServer(source.bus, Address("127.0.0.1", free_ports()), clock, SPEED)
-    opened = OpenedMoons(plane, str(server.address), Scored(server), speed=SPEED)
-    opened.know(folder / "units.npz")
-
-    async def scenario():
-        await server.open()
-        try:
-            field = Field(plane, opened, SEED)
-            return await field.observe(random_targets(plane, 3 * N, seed=1), out=folder / "run")
-        finally:
-            server.close()
-
-    seen = asyncio.run(scenario())
-    goal_mm = plane.forward(seen.assignment.alpha_deg, seen.assignment.beta_deg)
-    off_um = 1e3 * np.hypot(*(server.bus.array.fibre_xy() - goal_mm).T)
-    return seen, off_um, server
-
-
 def test_a_whole_field_is_observed_over_tcp(plane, tmp_path):
-    seen, off_um, server = observed(plane, tmp_path)
+    over_tcp = observed(plane, tmp_path)
+    seen, off_um, server = over_tcp.seen, over_tcp.off_um, over_tcp.server
     summary, assigned = seen.summary(), seen.assignment.target >= 0
     assert summary["faults"] == {}
     assert len(summary["moves"]) == 1
@@ -91,13 +40,22 @@ def test_a_whole_field_is_observed_over_tcp(plane, tmp_path):
 
 
 def test_a_deaf_unit_is_named_and_the_others_arrive(plane, tmp_path):
-    seen, off_um, _ = observed(plane, tmp_path, "deaf=1")
+    over_tcp = observed(plane, tmp_path, "deaf=1")
+    seen, off_um = over_tcp.seen, over_tcp.off_um
     (deaf,) = seen.summary()["faults"]["dead"]
     blocked = seen.summary()["faults"].get("blocked", [])
     others = (seen.assignment.target >= 0) & ~np.isin(plane.positioner_id, [deaf, *blocked])
     assert others.sum() >= 2
     assert np.median(off_um[others]) < 10.0
     assert off_um[others].max() < 30.0  # 20 um is what one in a thousand is beyond
+
+
+def test_connections_that_drop_in_mid_move_lose_nothing(plane, tmp_path):
+    over_tcp = observed(plane, tmp_path, meanwhile=hang_up_in_mid_move)
+    assigned = over_tcp.seen.assignment.target >= 0
+    assert over_tcp.server.report()["clients"] == 6  # three gateways, twice
+    assert over_tcp.named == {}
+    assert over_tcp.off_um[assigned].max() < 30.0
 
 
 def test_where_nothing_listens_it_says_where(plane):
@@ -123,17 +81,53 @@ def test_addresses(text):
 
 
 def test_a_connection_that_ends_while_something_is_sent_is_told_by_silence():
-    gateways = TcpGateways("127.0.0.1")
+    connection = KeptConnection("127.0.0.1", 1, lambda data: None)
 
     class Ended:
-        """A writer whose connection the reader finds ended first."""
+        """A writer whose connection has ended."""
 
         def write(self, data):
-            gateways._writers.pop(0)
+            pass
 
         async def drain(self):
             raise ConnectionResetError("reset by peer")
 
-    gateways._writers[0] = Ended()
-    asyncio.run(gateways.send(0, b"frame"))
-    assert gateways._writers == {}
+        def close(self):
+            pass
+
+    connection._writer = Ended()
+    connection.link.comes_up(0.0)
+    asyncio.run(connection.send(b"frame"))
+    assert not connection.link.up
+    assert connection.link.reason == "reset by peer"
+
+
+def test_a_connection_comes_back_by_itself():
+    heard = []
+
+    async def echo(reader, writer):
+        while data := await reader.read(100):
+            writer.write(data)
+            if data == b"end":
+                break
+        writer.close()
+
+    async def scenario():
+        server = await asyncio.start_server(echo, "127.0.0.1", 0)
+        connection = KeptConnection(*server.sockets[0].getsockname()[:2], heard.append)
+        assert await connection.connect()
+        connection.keep()
+        await connection.send(b"end")
+        while connection.link.up:
+            await asyncio.sleep(0.01)
+        await connection.send(b"lost")
+        while not connection.link.up:
+            await asyncio.sleep(0.01)
+        await connection.send(b"again")
+        while len(heard) < 2:
+            await asyncio.sleep(0.01)
+        await connection.close()
+        server.close()
+
+    asyncio.run(asyncio.wait_for(scenario(), 20.0))
+    assert heard == [b"end", b"again"]

@@ -75,6 +75,7 @@ void JointSearch::list_options(int which, const Node &from) {
         if (!out.possible[move]) continue;
         out.swept[move] = robot.swept(here, turn);
         out.cost[move] = encounter_cost * encounters(which, out.swept[move], from.step);
+        if (ask_.flood != nullptr) out.possible[move] = out.cost[move] == 0;
     }
 }
 
@@ -91,8 +92,8 @@ bool JointSearch::apart(int p, int q, int move_p, int move_q) {
     return known == apart_from;
 }
 
-std::uint64_t JointSearch::key(const Cells &cells) const {
-    std::uint64_t k = 0;
+std::uint64_t JointSearch::key(const Cells &cells, int step) const {
+    std::uint64_t k = ask_.flood != nullptr ? static_cast<std::uint64_t>(step) : 0;
     for (int i = 0; i < count(); ++i)
         k = k * static_cast<std::uint64_t>(ask_.robots[i]->cells()) +
             static_cast<std::uint64_t>(ask_.robots[i]->index(cells.of[i]));
@@ -116,7 +117,8 @@ void JointSearch::grow_table() {
 void JointSearch::push(NodeId node) {
     const Node &n = nodes_[node];
     const int go = estimate(n.cells);
-    const auto total = static_cast<std::uint64_t>(n.cost + 2 * go);
+    const auto total =
+        static_cast<std::uint64_t>(ask_.flood != nullptr ? ask_.steps - n.step : n.cost + 2 * go);
     queue_.push_back(total << 44 | static_cast<std::uint64_t>(std::min(go, 4095)) << 32 |
                      static_cast<std::uint64_t>(node.value()));
     std::push_heap(queue_.begin(), queue_.end(), std::greater<>());
@@ -132,16 +134,19 @@ JointSearch::NodeId JointSearch::pop() {
 void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
     Cells cells{};
     for (int k = 0; k < count(); ++k) cells.of[k] = options_[k].next[moves.of[k]];
-    Slot &place = slot(key(cells));
+    const int step = nodes_[from].step + 1;
+    if (ask_.flood != nullptr && (step > ask_.steps || !ask_.flood->holds(step, cells.of[0], cells.of[1])))
+        return;
+    Slot &place = slot(key(cells, step));
     if (place.node != NodeId()) {
         const Node &known = nodes_[place.node];
         if (known.closed || known.cost <= cost) return;
     }
-    const Node reached{cells, moves, from, nodes_[from].step + 1, cost, false};
+    const Node reached{cells, moves, from, step, cost, false};
     NodeId node = place.node;
     if (node == NodeId()) {
         node = NodeId(nodes_.size());
-        place = {key(cells), node};
+        place = {key(cells, step), node};
         nodes_.push_back(reached);
         if (2 * static_cast<std::size_t>(nodes_.size()) > table_.size()) grow_table();
     } else {
@@ -203,15 +208,18 @@ bool JointSearch::run(const JointRequest &request) {
     const int latest = *std::max_element(ask_.deadlines.begin(), ask_.deadlines.end());
     const int first_step = ask_.backward ? ask_.steps - latest : 0;
     nodes_.push_back({first, {{stay, stay, stay}}, NodeId(), first_step, 0, false});
-    slot(key(first)) = {key(first), NodeId(0)};
+    const std::uint64_t key_of_first = key(first, first_step);
+    slot(key_of_first) = {key_of_first, NodeId(0)};
     push(NodeId(0));
+    const int rest_from =
+        ask_.flood == nullptr ? 0 : std::max(ask_.flood->rest_from(0), ask_.flood->rest_from(1));
     while (!queue_.empty() && nodes_.size() < ask_.most_nodes) {
         const NodeId node = pop();
         Node &n = nodes_[node];
         if (n.closed) continue;
         n.closed = true;
         list_options(n);
-        if (n.cells == last && can_rest()) {
+        if (n.cells == last && n.step >= rest_from && can_rest()) {
             trace(node);
             return true;
         }

@@ -6,6 +6,7 @@
 // crowded end: from the goals back in time, or from the starts. Others cost, as in the single search.
 #pragma once
 
+#include "guide/pair_flood.hpp"
 #include "search/search.hpp"
 
 #include <cstdint>
@@ -20,6 +21,9 @@ struct JointRequest {
     double need_mm = 0.0;
     bool backward = true;
     int most_nodes = 0; // given up beyond this
+    // From where two still get to their goals: no other cells are looked at, and what touches others is shut.
+    // Only forward.
+    const PairFlood *flood = nullptr;
 };
 
 class JointSearch {
@@ -71,7 +75,7 @@ class JointSearch {
     void expand(NodeId from);
     void combine(NodeId from, int which, Moves &moves, int cost);
     void reach(NodeId from, const Moves &moves, int cost);
-    std::uint64_t key(const Cells &cells) const;
+    std::uint64_t key(const Cells &cells, int step) const;
     // A node with its key; no node where it is free.
     struct Slot {
         std::uint64_t key = 0;

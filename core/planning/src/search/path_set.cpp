@@ -17,6 +17,8 @@ constexpr int waiting_steps = 8;
 // dear.
 constexpr double guide_margin_mm = 0.3;
 constexpr int much_too_dear = 3;
+// The same of a flood, for those for which a guide is too careful: they need what room there is.
+constexpr double flood_margin_mm = 0.1;
 
 VelocityChange change(int before, int here, int after) { return {before - here, after - here}; }
 
@@ -215,7 +217,7 @@ void PathSet::gather(PathIndex i, MovingObstacles &moving) const {
     moving.sort(steps_);
 }
 
-bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search) {
+JointRequest PathSet::joint_request(const List<PathIndex> &group) {
     List<Presence> before; // they do not see each other but in the search
     for (const PathIndex i : group) before.push_back(std::exchange(at(i).presence, Presence::absent));
     JointRequest request;
@@ -228,9 +230,63 @@ bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_n
     for (int k = 0; k < group.size(); ++k) at(group[k]).presence = before[k];
     request.steps = steps_;
     request.need_mm = need_mm_;
+    return request;
+}
+
+bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search) {
+    JointRequest request = joint_request(group);
     request.backward = backward;
     request.most_nodes = most_nodes;
     return search.run(request);
+}
+
+// One of two, among those around it.
+void PathSet::begin_flood(int which, Member &member) {
+    FloodSide &side = flood_.side(which);
+    side.begin(member.robot, member.deadline, steps_, member.robot.steps_from_goal());
+    for (const auto &visit : joint_moving_[which].visits()) {
+        const Robot &them = at(member.neighbours[visit.slot]).robot;
+        const bool at_end = visit.cell == them.start() || visit.cell == them.goal();
+        const BlockedLines cells = member.blocked_to_floods.by(member.robot, visit.slot, them, visit.cell,
+                                                               need_mm_ + flood_margin_mm, tables_);
+        for (int step = visit.first; step <= visit.last; ++step) side.block(step, cells, at_end);
+    }
+}
+
+bool PathSet::can_flood(const List<PathIndex> &pair) const {
+    return std::all_of(pair.begin(), pair.end(), [this](PathIndex i) {
+        return at(i).robot.alpha().size() <= FloodSide::most_alphas + 1;
+    });
+}
+
+// Of two: the request's moving obstacles are gathered.
+bool PathSet::flood(const List<PathIndex> &pair) {
+    Member &first = at(pair[0]), &second = at(pair[1]);
+    begin_flood(0, first);
+    begin_flood(1, second);
+    const auto &near = second.neighbours;
+    const int slot = static_cast<int>(std::find(near.begin(), near.end(), pair[0]) - near.begin());
+    return flood_.run(steps_, [&](Cell c) {
+        return second.blocked_to_floods.by(second.robot, slot, first.robot, c, need_mm_ + flood_margin_mm,
+                                           tables_);
+    });
+}
+
+bool PathSet::seek_pair(const List<PathIndex> &pair, int most_nodes, JointSearch &search) {
+    JointRequest request = joint_request(pair);
+    if (!flood(pair)) return false;
+    request.backward = false;
+    request.most_nodes = most_nodes;
+    request.flood = &flood_;
+    return search.run(request);
+}
+
+bool PathSet::may_arrive(const List<PathIndex> &pair) {
+    for (MovingObstacles *none : {&joint_moving_[0], &joint_moving_[1]}) {
+        none->clear();
+        none->sort(steps_);
+    }
+    return flood(pair) || !flood_.in_full();
 }
 
 // What is likely to come, once a search without a guide has found nothing soon.

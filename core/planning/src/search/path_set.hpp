@@ -50,11 +50,11 @@ struct Member {
     int cost = 1000;    // of touching it, per step
     bool still = false; // rests at its goal from the beginning to the end, without an approach
     int deadline = 0;   // the step by which it must have arrived
-    BlockedCells blocked;
-    List<PathIndex> spared;  // neighbours with which it is never late
-    List<PathIndex> in_vain; // for each repair around a conflict of lateness alone: with whom
-    int tries = 0;           // repairs around it since the last one that helped, or since it got more time
-    int joint_in_vain = 0;   // joint searches around it since the last repair that helped
+    BlockedCells blocked, blocked_to_floods; // as a guide, and as a flood, sees them
+    List<PathIndex> spared;                  // neighbours with which it is never late
+    List<PathIndex> in_vain;                 // for each repair around a conflict of lateness alone: with whom
+    int tries = 0;         // repairs around it since the last one that helped, or since it got more time
+    int joint_in_vain = 0; // joint searches around it since the last repair that helped
 };
 
 // How a path is sought.
@@ -102,6 +102,12 @@ class PathSet {
     bool seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search);
     // Seeks paths of two or three at once; sets none of them.
     bool seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search);
+    // Whether the grids of both are wide enough for a flood of all their cells.
+    bool can_flood(const List<PathIndex> &pair) const;
+    // Two at once, by such a flood; no others are met. False if there is no way.
+    bool seek_pair(const List<PathIndex> &pair, int most_nodes, JointSearch &search);
+    // Whether two could be in time if there were no others, by a flood.
+    bool may_arrive(const List<PathIndex> &pair);
     void set_path(PathIndex i, const List<Cell> &path);
     // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
     bool retrace(PathIndex i, int first, const List<SweptArm> &swept);
@@ -137,6 +143,9 @@ class PathSet {
     void gather_one(const Member &me, int slot, MovingObstacles &moving) const;
     void gather_late(const Member &me, int slot, MovingObstacles &moving) const;
     void guide(Request &request, Member &member);
+    JointRequest joint_request(const List<PathIndex> &group);
+    bool flood(const List<PathIndex> &pair);
+    void begin_flood(int which, Member &member);
     void extend(int steps);
     void set_steps(int steps);
     // Where others see it in a step.
@@ -173,6 +182,7 @@ class PathSet {
     MovingObstacles moving_;
     CostToGo guide_;
     TouchTables tables_;
+    PairFlood flood_;
     MovingObstacles joint_moving_[JointSearch::most];
 };
 

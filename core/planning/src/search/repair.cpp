@@ -16,6 +16,7 @@ constexpr int least_affordable = 4; // steps in conflict
 // as many as the second one of two. All of a round together take about half a second at
 // most, and as much when paths are hurried.
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
+constexpr int flood_nodes = 16000, nodes_of_a_flood = 8000;
 constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
@@ -26,10 +27,11 @@ constexpr int tidy_enough = 12; // cost above the least: three corners are not w
 constexpr int tidy_excess = 60; // ... and these two
 // Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
 constexpr int many_changes = 13;
-constexpr int joint_every = 12;     // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;        // a deadline grows by the first one over this
-constexpr int hurry_rounds = 25;    // repairs for one that hurries; in the end ...
-constexpr int rounds_per_step = 10; // ... so many more for each step that it is behind the wish
+constexpr int joint_every = 12;         // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;            // a deadline grows by the first one over this
+constexpr int hurry_rounds = 25;        // repairs for one that hurries; in the end ...
+constexpr int rounds_per_step = 10;     // ... so many more for each step that it is behind the wish, and ...
+constexpr int most_rounds_of_one = 265; // ... no more than these
 constexpr int far_behind = 5; // the wish over what is missing at most, for one that is tried more often ...
 constexpr int last_attempts = 4; // ... so many times in all
 constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
@@ -155,7 +157,7 @@ bool Repair::rounds(int most) {
     std::int64_t since = expansions();
     int in_vain = 0; // repairs
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
-        if (in_vain++ > most_repairs_in_vain()) break;
+        if (in_vain++ > most_repairs_in_vain() || hopeless_) break;
         if (enough() && k >= last_rounds) break;
         const auto all = pairs();
         if (all.empty()) return true;
@@ -387,8 +389,12 @@ void Repair::joint_round(Pair pair) {
     forget_paths(group.members);
     const int most_nodes = joint_nodes(joint);
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
-    const bool found = paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
-    joint_left_ -= joint_.nodes();
+    const bool by_flood =
+        joint.size() == 2 && (last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
+    const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
+                                : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    joint_left_ -= by_flood ? nodes_of_a_flood : joint_.nodes();
+    if (by_flood && !found && last_steps_ == 0) hopeless_ = hopeless_ || !paths_.may_arrive(joint);
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);
     const List<PathIndex> others = drawn_in(joint, group);
@@ -436,7 +442,7 @@ void Repair::hurry(int wanted_steps) {
 // one sooner: it is tried again, half-way to the wish and a step earlier in turn.
 bool Repair::squeeze_in_the_end(PathIndex last, int wanted_steps) {
     const int arrival = paths_.arrival(last), behind = arrival - wanted_steps;
-    const int repairs = hurry_rounds + rounds_per_step * behind;
+    const int repairs = std::min(hurry_rounds + rounds_per_step * behind, most_rounds_of_one);
     for (bool half = false; !squeeze(last, half ? arrival - behind / 2 : arrival - 1, repairs); half = !half)
         if (far_behind * behind < wanted_steps || attempts_.in_the_end-- <= 0 || enough()) return false;
     return true;
@@ -460,6 +466,7 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
     bool done = paths_.seek(last, {}, any_cost, {}, search_);
     if (done) {
         paths_.count_conflicts(last);
+        hopeless_ = false;
         done = rounds(static_cast<int>(effort_ * most_repairs));
     }
     paths_.end_changes(done);

@@ -4,8 +4,8 @@
 // where none is free), moves and waits little, and bodies at rest may not be touched at all.
 #pragma once
 
+#include "guide/cost_to_go.hpp"
 #include "motion/robot.hpp"
-#include "search/cost_to_go.hpp"
 #include "search/moving_obstacles.hpp"
 
 #include <algorithm>

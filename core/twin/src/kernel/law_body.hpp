@@ -128,8 +128,9 @@ void settle_law(LawBatch &b) {
     }
 }
 
-// The configuration of a lane's drive.
-inline fl_drive_config_t drive_config_of(const LawBatch &b, int i) {
+// The configuration of a lane's drive. c: of the contact's law, else a nullptr.
+template <fl_law_t Law>
+inline fl_drive_config_t drive_config_of(const LawBatch &b, const ContactLanes *c, int i) {
 #define X(type, name) b.servo.name[i],
     const fl_servo_config_t servo = {FL_LAW_SERVO(X)};
 #undef X
@@ -139,16 +140,17 @@ inline fl_drive_config_t drive_config_of(const LawBatch &b, int i) {
 #define X(type, name) b.touch.name[i],
     const fl_touch_config_t touch = {FL_LAW_TOUCH(X)};
 #undef X
-#define X(type, name) b.teeth.name[i],
+#define X(type, name) Law == FL_LAW_CONTACT ? c->teeth.name[i] : type{},
     const fl_teeth_config_t teeth = {FL_LAW_TEETH(X)};
 #undef X
-#define X(type, name) b.regulator.name[i],
+#define X(type, name) Law == FL_LAW_CONTACT ? c->regulator.name[i] : type{},
     const fl_regulator_config_t regulator = {FL_LAW_REGULATOR(X)};
 #undef X
     return {servo, collision, touch, teeth, regulator, b.voltage_per_Nm[i], b.full_Nm[i], b.law[i]};
 }
 
-inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
+template <fl_law_t Law>
+inline fl_drive_state_t drive_state_of(const LawBatch &b, const ContactLanes *c, int i) {
 #define X(type, name) b.state.name[i],
     const fl_servo_state_t servo = {FL_LAW_STATE(X)};
 #undef X
@@ -158,21 +160,22 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, int i) {
 #define X(type, name) b.observer.name[i],
     const fl_touch_state_t touch = {FL_LAW_OBSERVER(X) ripple};
 #undef X
-#define X(type, name) b.gap.name[i],
+#define X(type, name) Law == FL_LAW_CONTACT ? c->gap.name[i] : type{},
     const fl_teeth_state_t teeth = {FL_LAW_GAP(X)};
 #undef X
-#define X(type, name) b.seen.name[i],
+#define X(type, name) Law == FL_LAW_CONTACT ? c->seen.name[i] : type{},
     const fl_observer_state_t seen = {FL_LAW_SEEN(X)};
 #undef X
-    return {servo, touch, teeth, {seen, b.slack_Nm[i]}};
+    return {servo, touch, teeth, {seen, Law == FL_LAW_CONTACT ? c->slack_Nm[i] : 0.0f}};
 }
 
 // One law over all lanes; with `some`, only what those of this law have found is kept.
-template <fl_law_t Law, bool some> [[gnu::flatten]] void drive_lanes(LawBatch &b) {
+template <fl_law_t Law, bool some>
+[[gnu::flatten]] void drive_lanes(LawBatch &__restrict b, ContactLanes *__restrict c) {
     for (int i = 0; i < lane_group_size; ++i) {
         const bool mine = !some || b.law[i] == Law;
-        const fl_drive_config_t config = drive_config_of(b, i);
-        fl_drive_state_t state = drive_state_of(b, i);
+        const fl_drive_config_t config = drive_config_of<Law>(b, c, i);
+        fl_drive_state_t state = drive_state_of<Law>(b, c, i);
 #define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(b.input.name[i]),
         const fl_servo_in_t in = {FL_LAW_INPUT(X)};
 #undef X
@@ -188,15 +191,15 @@ template <fl_law_t Law, bool some> [[gnu::flatten]] void drive_lanes(LawBatch &b
 #define X(type, name) b.ripple.name[i] = mine ? state.touch.ripple.name : b.ripple.name[i];
         FL_LAW_RIPPLE(X)
 #undef X
-#define X(type, name) b.gap.name[i] = mine ? state.teeth.name : b.gap.name[i];
+#define X(type, name) c->gap.name[i] = mine ? state.teeth.name : c->gap.name[i];
         if (Law == FL_LAW_CONTACT) {
             FL_LAW_GAP(X)
         }
 #undef X
-#define X(type, name) b.seen.name[i] = mine ? state.regulator.seen.name : b.seen.name[i];
+#define X(type, name) c->seen.name[i] = mine ? state.regulator.seen.name : c->seen.name[i];
         if (Law == FL_LAW_CONTACT) {
             FL_LAW_SEEN(X)
-            b.slack_Nm[i] = mine ? state.regulator.slack_Nm : b.slack_Nm[i];
+            c->slack_Nm[i] = mine ? state.regulator.slack_Nm : c->slack_Nm[i];
         }
 #undef X
 #define X(type, name) b.torque.name[i] = mine ? out.torque.name : b.torque.name[i];
@@ -213,10 +216,10 @@ template <fl_law_t Law, bool some> [[gnu::flatten]] void drive_lanes(LawBatch &b
 // laws: a bit of 1 << law for each that a lane wants.
 void drive_law(LawBatch &b, unsigned laws) {
     constexpr unsigned paper = 1U << FL_LAW_PAPER, contact = 1U << FL_LAW_CONTACT;
-    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b);
-    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b);
-    drive_lanes<FL_LAW_PAPER, true>(b);
-    drive_lanes<FL_LAW_CONTACT, true>(b);
+    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b, nullptr);
+    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b, b.contact);
+    drive_lanes<FL_LAW_PAPER, true>(b, b.contact);
+    drive_lanes<FL_LAW_CONTACT, true>(b, b.contact);
 }
 
 } // namespace

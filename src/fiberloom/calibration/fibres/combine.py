@@ -25,6 +25,7 @@ from fiberloom.calibration.fibres.estimate import FieldOffsets
 from fiberloom.calibration.fibres.frame import FAR_UM, FRAME_UM, OF_CAMERA, TERMS, FrameOffset
 from fiberloom.calibration.fibres.model import MODES
 from fiberloom.errors import InputError
+from fiberloom.timing import part
 from fiberloom.typing import Floats, Ints
 
 PLACE_UM = 0.5
@@ -58,6 +59,7 @@ class Combined:
     frame: FrameOffset
 
 
+@part("fit")
 def combine(
     fields: Sequence[FieldOffsets], place_um: float = PLACE_UM, radius_mm: float | None = None
 ) -> Combined:
@@ -267,11 +269,11 @@ def _likeliest_um(matrix: Floats, right: Floats, expected_um: Floats) -> Floats:
     expectation is known within a factor of `_WITHIN`, so that it stays where one field tells nothing.
     """
     n, best = len(expected_um) - len(TERMS), expected_um
-    for part in (slice(n, n + OF_CAMERA), slice(n + OF_CAMERA, None)):
+    for group in (slice(n, n + OF_CAMERA), slice(n + OF_CAMERA, None)):
         tried = []
         for factor in _FACTORS:
             sizes_um = best.copy()
-            sizes_um[part] = factor * expected_um[part]
+            sizes_um[group] = factor * expected_um[group]
             tried.append(
                 (_evidence(matrix, right, sizes_um) - 0.5 * (np.log(factor) / np.log(_WITHIN)) ** 2, sizes_um)
             )

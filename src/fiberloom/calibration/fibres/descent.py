@@ -77,7 +77,7 @@ def settled(model: FieldModel, at: Unknowns, weight: Floats, steps: int) -> Unkn
     star, damping = at.star, np.full(len(at.star), _DAMPING)
     for _ in range(steps):
         here = Unknowns(star, at.exposure)
-        flux, slope, _ = model.fluxes(here)
+        flux, slope = model.by_stars(here)
         root = np.sqrt(weight) * model.seen / model.error
         j, left = slope * root[..., None], (model.flux - flux) * root
         square = np.einsum("enp,enq->npq", j, j) + 1e-9 * np.eye(OF_STAR)

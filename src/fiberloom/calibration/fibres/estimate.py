@@ -30,6 +30,7 @@ from fiberloom.calibration.fibres.model import (
 )
 from fiberloom.calibration.fibres.start import begin
 from fiberloom.errors import InputError
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 
 _FEWEST_FIBRES, _FEWEST_EXPOSURES = 3, 4
@@ -91,6 +92,7 @@ class FieldOffsets:
         return total
 
 
+@part("fit")
 def estimate(field: DitheredField, settings: FieldSettings | None = None) -> FieldOffsets:
     """Offsets of all fibres of a field.
 

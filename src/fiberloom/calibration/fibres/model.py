@@ -20,7 +20,7 @@ import numpy as np
 
 from fiberloom.calibration.fibres.dithered import CORE_UM, DitheredField
 from fiberloom.calibration.fibres.guider import places_of
-from fiberloom.calibration.fibres.throughput import StarProfile, light
+from fiberloom.calibration.fibres.throughput import StarProfile, light, light_share
 from fiberloom.typing import Floats, Ints
 from fiberloom.units import UM_PER_MM
 
@@ -103,23 +103,36 @@ class FieldModel:
 
     def fluxes(self, at: Unknowns) -> tuple[Floats, Floats, Floats]:
         """Fluxes (E, N), and their derivatives by stars (E, N, 3) and exposures (E, N, 6), per um or none."""
-        s = self.offsets_um(at)
-        r = np.hypot(s[..., 0], s[..., 1])
-        fwhm = np.exp(at.exposure[:, 1, None])
+        flux, by_star, by_fwhm = self._of_stars(at)
+        slope = -by_star[..., 1:]
+        turned = np.einsum("enc,nck->enk", slope, self.place)
+        by_exposure = np.concatenate([flux[..., None], by_fwhm[..., None], slope, turned], axis=-1)
+        return flux, by_star, by_exposure
+
+    def by_stars(self, at: Unknowns) -> tuple[Floats, Floats]:
+        """Fluxes (E, N), and their derivatives by stars (E, N, 3), per um or none."""
+        flux, by_star, _ = self._of_stars(at)
+        return flux, by_star
+
+    def _of_stars(self, at: Unknowns) -> tuple[Floats, Floats, Floats]:
+        """The same, and (E, N) by the logarithm of the FWHM."""
+        s, r, fwhm, bright = self._seen_from(at)
         found = light(self.settings.profile, r, fwhm, self.settings.core_um)
-        bright = np.exp(at.star[:, 0] + at.exposure[:, 0, None])
         flux = bright * found.share
         slope = (bright * found.per_um)[..., None] * s / np.maximum(r, 1e-9)[..., None]
-        turned = np.einsum("enc,nck->enk", slope, self.place)
-        by_star = np.concatenate([flux[..., None], -slope], axis=-1)
-        by_exposure = np.concatenate(
-            [flux[..., None], (bright * found.per_fwhm)[..., None], slope, turned], axis=-1
-        )
-        return flux, by_star, by_exposure
+        return flux, np.concatenate([flux[..., None], -slope], axis=-1), bright * found.per_fwhm
+
+    def _seen_from(self, at: Unknowns) -> tuple[Floats, Floats, Floats, Floats]:
+        """Offsets (E, N, 2) and their lengths (E, N), um; FWHM (E, 1), um; fluxes (E, N) of whole stars."""
+        s = self.offsets_um(at)
+        bright = np.exp(at.star[:, 0] + at.exposure[:, 0, None])
+        return s, np.hypot(s[..., 0], s[..., 1]), np.exp(at.exposure[:, 1, None]), bright
 
     def residuals(self, at: Unknowns) -> Floats:
         """(E, N) in sigmas; 0 where nothing was measured."""
-        return np.where(self.seen, (self.flux - self.fluxes(at)[0]) / self.error, 0.0)
+        _, r, fwhm, bright = self._seen_from(at)
+        flux = bright * light_share(self.settings.profile, r, fwhm, self.settings.core_um)
+        return np.where(self.seen, (self.flux - flux) / self.error, 0.0)
 
     def cost(self, at: Unknowns, weight: Floats) -> float:
         """Half of it is minus the logarithm of the probability: a number of sigmas squared.

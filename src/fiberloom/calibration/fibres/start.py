@@ -9,7 +9,7 @@ import numpy as np
 
 from fiberloom.calibration.fibres.descent import settled, start_weight
 from fiberloom.calibration.fibres.model import OF_EXPOSURE, OF_STAR, FieldModel, Unknowns
-from fiberloom.calibration.fibres.throughput import light
+from fiberloom.calibration.fibres.throughput import light_share
 from fiberloom.typing import Floats
 
 FARTHEST_UM = 105.0
@@ -60,7 +60,7 @@ def _shares(model: FieldModel, fwhm_um: float) -> Floats:
     """(E, N, G) of the light, with every offset that is tried."""
     s = model.field.dither_um[:, None, None] + model.apart_um[None, :, None] - grid_um()
     settings = model.settings
-    table = light(settings.profile, _TABLE_UM, np.full_like(_TABLE_UM, fwhm_um), settings.core_um).share
+    table = light_share(settings.profile, _TABLE_UM, np.full_like(_TABLE_UM, fwhm_um), settings.core_um)
     return np.interp(np.hypot(s[..., 0], s[..., 1]), _TABLE_UM, table)
 
 

@@ -53,7 +53,8 @@ def park(options: ParkOptions) -> int:
 def home(options: HomeOptions) -> int:
     """Search the datum of positioners, in an order in which no arms can meet; then fold.
 
-    Exit code 1 where a positioner did not do what was asked.
+    Exit code 1 where a positioner did not do what was asked, or where steppers have lost steps since the
+    last search.
     """
     options.check()
     only = excluded(options.only) or None

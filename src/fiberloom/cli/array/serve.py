@@ -11,10 +11,12 @@ import typer
 from fiberloom.cli.array.options import BusOptions, array_book, operator
 from fiberloom.cli.night import queue_plane
 from fiberloom.cli.observe import FaultsOption, FieldCameraOption, MapsOption
-from fiberloom.cli.options import ErrorsOptions, PlaneOptions, require_file
+from fiberloom.cli.options import DatabaseOptions, ErrorsOptions, PlaneOptions, require_file
 from fiberloom.errors import InputError
 
 if TYPE_CHECKING:
+    import socket
+
     from fiberloom.field import Field
     from fiberloom.night.queue import QueueArray
     from fiberloom.observatory.interfaces import Interfaces
@@ -28,7 +30,7 @@ TWIN = "twin:"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServeOptions(BusOptions, ErrorsOptions, PlaneOptions):
+class ServeOptions(BusOptions, DatabaseOptions, ErrorsOptions, PlaneOptions):
     """Of `fiberloom serve`."""
 
     listen: Annotated[str, typer.Option(help="HOST:PORT; beyond loopback only with tokens and TLS.")] = (
@@ -86,6 +88,13 @@ def serve(options: ServeOptions) -> None:
     """
     check(options)
     _need_packages()
+    at, gate = listening(options)
+    shown = interfaces(options)
+    with at.bound() as sock:
+        _serve(options, at, gate, shown, sock)
+
+
+def _serve(options: ServeOptions, at: Listening, gate: Gate, shown: Interfaces, sock: socket.socket) -> None:
     from fiberloom.service.alarms.send import AlarmSender, by_command, by_webhook
     from fiberloom.service.array import ServedArray
     from fiberloom.service.hub import Hub
@@ -94,13 +103,10 @@ def serve(options: ServeOptions) -> None:
     from fiberloom.service.web.server import serve as run
     from fiberloom.service.web.target_root import TargetRoot
 
-    at, gate = listening(options)
-    shown = interfaces(options)
     ways = [by_webhook(options.alarm_webhook)] if options.alarm_webhook else []
     ways += [by_command(options.alarm_command)] if options.alarm_command else []
-    sock = at.bound()
     field, book, bus = served_field(options)
-    array = ServedArray(field, book, bus, options.out, Hub())
+    array = ServedArray(field, book, bus, options.out, Hub(), options.database)
     night = served_night(options, array)
     sender, log = AlarmSender(ways), log_to(options.out / "serve.log")
     array.sender = sender.send
@@ -162,6 +168,7 @@ def check(options: ServeOptions) -> None:
     from fiberloom.twin.errors.switches import check_switches
 
     options.check_plane()
+    options.check_database()
     check_switches(options.errors)
     require_file(options.calibration, "make one with 'fiberloom calibrate transmission'")
     for name in ("tls_cert", "tls_key"):
@@ -214,12 +221,13 @@ def listening(options: Any) -> tuple[Listening, Gate]:
 def served_field(options: ServeOptions) -> tuple[Field, ArrayBook, str]:
     """The field that is served, what the store keeps of it, and its bus.
 
-    A twin's store is in the folder of the service. With a night its queue says which array, where nothing
-    was typed.
+    A twin's store is that of the record: in the folder of the service, or the database. With a night its
+    queue says which array, where nothing was typed.
     """
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
     from fiberloom.service.pace import PacedSource
+    from fiberloom.store import Store
     from fiberloom.store.place import STORE
 
     options.out.mkdir(parents=True, exist_ok=True)
@@ -233,7 +241,10 @@ def served_field(options: ServeOptions) -> tuple[Field, ArrayBook, str]:
         wrong = {"faults": options.faults or asked.faults, "errors": options.errors or asked.errors}
     source: Any = open_hardware(plane, bus, camera or "image", seed=seed, **wrong)
     if bus.startswith(TWIN):
-        source, store = PacedSource(source, options.speed), store or str(options.out / STORE)
+        record = options.database or str(options.out / STORE)
+        source, store = PacedSource(source, options.speed), store or record
+    elif options.database:
+        Store.open(options.database).close()  # one that cannot be opened is told at once
     return Field(plane, source, seed, calibration), array_book(bus, store), bus
 
 

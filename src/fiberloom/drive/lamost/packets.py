@@ -54,3 +54,27 @@ def decoded(data: bytes) -> RadioPacket:
     if sum(data) & 0xFF:
         raise InputError(f"lamost: {data.hex()}: its checksum is wrong")
     return RadioPacket(data[1], int.from_bytes(data[2:4], "big"), data[4:-1])
+
+
+class RadioReader:
+    """Cuts a stream of bytes into packets; what is no packet is passed over, byte by byte."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Packets that are whole by now."""
+        rest, found = self._rest + data, []
+        while rest:
+            size = rest[0] + 1
+            if not LEAST_BYTES <= size <= MOST_BYTES:
+                rest = rest[1:]
+            elif len(rest) < size:
+                break
+            elif sum(rest[:size]) & 0xFF:
+                rest = rest[1:]
+            else:
+                found.append(rest[:size])
+                rest = rest[size:]
+        self._rest = rest
+        return found

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from typing import Protocol
 
+from fiberloom.bus.links import Link, links_of
 from fiberloom.bus.transport import Frame
 from fiberloom.drive.lamost.packets import RadioPacket, coordinator_of, decoded, encoded
 from fiberloom.errors import InputError
@@ -42,6 +43,11 @@ class RadioTransport:
     def time_s(self) -> float:
         """Of the radio."""
         return self._radio.time_s
+
+    @property
+    def links(self) -> Sequence[Link]:
+        """Of the radio."""
+        return links_of(self._radio)
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         """A packet for each frame."""

@@ -70,12 +70,17 @@ class MegaraFrame(NamedTuple):
     @property
     def robot(self) -> int:
         """Whose it is; 0: all."""
-        return self.identifier >> 2
+        return robot_of(self.identifier)
 
     @property
     def rotor(self) -> int:
         """1 or 2; 0: both."""
         return self.identifier & 3
+
+
+def robot_of(identifier: int) -> int:
+    """The robot of an identifier; 0: all."""
+    return identifier >> 2
 
 
 class ToldState(NamedTuple):

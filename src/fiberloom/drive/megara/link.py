@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from fiberloom.bus.links import LinkPatience
 from fiberloom.bus.outcome import Outcome
 from fiberloom.bus.transport import Transport
 from fiberloom.drive.megara.frames import (
@@ -36,6 +37,7 @@ class MegaraLink:
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
+        self._patience = LinkPatience(transport, self.sleep)
 
     @property
     def time_s(self) -> float:
@@ -78,6 +80,7 @@ class MegaraLink:
         for _ in range(TRIES):
             if not left:
                 break
+            await self._patience.wait()
             await self._send([MegaraFrame.of(robot, rotor, command) for robot in left])
             end_s = self.time_s + ANSWER_S
             while left and (left_s := end_s - self.time_s) > 1e-9:

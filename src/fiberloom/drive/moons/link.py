@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fiberloom.bus.links import LinkPatience
 from fiberloom.bus.outcome import Outcome
 from fiberloom.drive.moons.frames import (
     ALPHA_START,
@@ -70,6 +71,7 @@ class MoonsLink:
 
     def __init__(self, gateways: Gateways) -> None:
         self.gateways = gateways
+        self._patience = LinkPatience(gateways, self.sleep)
         self._readers = [PacketReader() for _ in range(GATEWAYS)]
         self._sequence = 0
 
@@ -121,6 +123,7 @@ class MoonsLink:
         for _ in range(TRIES):
             if not left:
                 break
+            await self._patience.wait()
             await self._send((number, command, data) for number in sorted(left))
             found |= await self._until(left, {command}, ANSWER_S)
             left -= set(found)

@@ -19,6 +19,8 @@ SETTINGS = PlanSettings(speed_deg_s=14.0, acceleration_deg_s2=56.0, grid_deg=11.
 """[A] Speed: a waveform that is behind its plan can catch up. The other numbers: ways within 256 segments,
 and what waveforms differ from plans by. What is executed is verified by itself."""
 
+PLANS = 4
+"""In which units are left out whose waveforms their controllers would not take."""
 AIMS = 3
 """Times that a waveform is made, until it ends as it was aimed."""
 
@@ -38,24 +40,24 @@ class WaveformMaker:
         self, wanted: Wanted, moves: Flags, counts: Ints, known: KnownUnits
     ) -> tuple[list[Leg], dict[int, str]]:
         """The planned ways as waveforms. `wanted`, `moves` (N,), `counts` (N, 2), `known`: as of `Maker`."""
-        goal = np.where(moves[:, None], wanted.goal_deg, wanted.here_deg)
-        make = plan_corrections if wanted.small else plan
-        made = make(
-            wanted.obstacles, wanted.here_deg, goal, seed=wanted.seed, approach_deg=0.0, settings=SETTINGS
-        )
-        rows = np.array([k for k, robot in enumerate(made.robots) if robot.moves], dtype=np.int64)
-        refused = {int(wanted.obstacles.index_of(number)): why for number, why in made.refused.items()}
-        if not len(rows):
+        moves = moves.copy()
+        refused: dict[int, str] = {}
+        for _ in range(PLANS):
+            made = _planned(wanted, moves)
+            refused |= {int(wanted.obstacles.index_of(number)): why for number, why in made.refused.items()}
+            rows = np.array([k for k, robot in enumerate(made.robots) if robot.moves], dtype=np.int64)
+            if not len(rows):
+                return [], refused
+            waves = _waves(made, rows, counts, known)
+            unfit = _unfit(wanted.obstacles.instrument, known.steps, counts[rows], waves)
+            if not unfit:
+                break
+            # the others were planned as if these moved: they stand from now on
+            refused |= {int(rows[k]): why for k, why in unfit.items()}
+            moves[rows[list(unfit)]] = False
+        fit = np.array([k not in unfit for k in range(len(rows))], dtype=bool)
+        if not fit.any():
             return [], refused
-        waves, late = _waves(made, rows, counts, known)
-        beyond = _beyond(wanted.obstacles.instrument, known.steps, counts[rows] + np.cumsum(waves, axis=0))
-        refused |= dict.fromkeys(
-            rows[beyond].tolist(), "its way is beyond a limit by the unit's own switches"
-        )
-        refused |= dict.fromkeys(rows[late].tolist(), f"its way takes more than {MOST_SEGMENTS} segments")
-        if (late | beyond).all():
-            return [], refused
-        fit = ~(late | beyond)
         return [leg_of(rows[fit], counts[rows[fit]], waves[:MOST_SEGMENTS, fit])], refused
 
     def trial(self, rows: Ints, counts: Ints) -> Leg:
@@ -85,15 +87,35 @@ def leg_of(rows: Ints, before: Ints, waves: Ints) -> Leg:
     return Leg(rows, time_s, counts)
 
 
-def _waves(made: Plan, rows: Ints, counts: Ints, known: KnownUnits) -> tuple[Ints, Flags]:
-    """Steps (K, m, 2) of all that move; and (m,) whose ways are too long."""
+def _planned(wanted: Wanted, moves: Flags) -> Plan:
+    """Ways of those that `moves` (N,); the others stand."""
+    goal = np.where(moves[:, None], wanted.goal_deg, wanted.here_deg)
+    make = plan_corrections if wanted.small else plan
+    return make(
+        wanted.obstacles, wanted.here_deg, goal, seed=wanted.seed, approach_deg=0.0, settings=SETTINGS
+    )
+
+
+def _waves(made: Plan, rows: Ints, counts: Ints, known: KnownUnits) -> Ints:
+    """Steps (K, m, 2) of all that move."""
     both = [_wave(made.robots[row], counts[row], known.of_unit(row)) for row in rows.tolist()]
-    late = np.array([max(map(len, pair)) > MOST_SEGMENTS for pair in both])
     out = np.zeros((max(max(map(len, pair)) for pair in both), len(rows), 2), dtype=np.int64)
     for k, pair in enumerate(both):
         for axis, steps in enumerate(pair):
             out[: len(steps), k, axis] = steps
-    return out, late
+    return out
+
+
+def _unfit(instrument: Instrument, steps: AxisSteps, before: Ints, waves: Ints) -> dict[int, str]:
+    """Which of m units would not run steps (K, m, 2) from counts `before` (m, 2), and why."""
+    beyond = _beyond(instrument, steps, before + np.cumsum(waves, axis=0))
+    late = waves[MOST_SEGMENTS:].any(axis=(0, 2))
+    why = dict.fromkeys(
+        np.flatnonzero(beyond).tolist(), "its way is beyond a limit by the unit's own switches"
+    )
+    return why | dict.fromkeys(
+        np.flatnonzero(late).tolist(), f"its way takes more than {MOST_SEGMENTS} segments"
+    )
 
 
 def _wave(robot: Trajectory, start: Ints, unit: KnownUnits) -> list[Ints]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
+from collections.abc import Sequence
+from functools import partial
 
+from fiberloom.bus.links import Link
+from fiberloom.drive.kept_connection import KeptConnection
 from fiberloom.drive.moons.frames import GATEWAYS
 from fiberloom.errors import InputError
 
 FIRST_PORT = 4700
 """Of the first gateway; the others follow (ukatc/fpu_driver)."""
-CONNECT_S = 3.0
-READ_BYTES = 1 << 16
 
 
 def gateway_address(text: str) -> tuple[str, int]:
@@ -30,28 +31,31 @@ class TcpGateways:
     def __init__(self, host: str, first_port: int = FIRST_PORT, speed: float = 1.0) -> None:
         """`host` and `first_port` of the gateways; `speed`: seconds of their clock in one of ours."""
         self._host, self._port, self._speed = host, first_port, speed
-        self._writers: dict[int, asyncio.StreamWriter] = {}
-        self._readers: list[asyncio.Task[None]] = []
         self._said: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue()
+        self._connections = [
+            KeptConnection(host, first_port + gateway, partial(self._take, gateway))
+            for gateway in range(GATEWAYS)
+        ]
+
+    def _take(self, gateway: int, data: bytes) -> None:
+        self._said.put_nowait((gateway, data))
 
     async def open(self) -> None:
-        """Connects; a gateway without power is left out. InputError where none answers."""
-        why = "no gateway there"
-        for gateway in range(GATEWAYS):
-            try:
-                reader, writer = await asyncio.wait_for(
-                    asyncio.open_connection(self._host, self._port + gateway), CONNECT_S
-                )
-            except (TimeoutError, OSError) as error:
-                why = str(error) or "timed out"
-                continue
-            self._writers[gateway] = writer
-            self._readers.append(asyncio.create_task(self._read(gateway, reader)))
-        if not self._writers:
+        """Connects; a gateway without power is called again and again. InputError where none answers."""
+        there = [await connection.connect() for connection in self._connections]
+        if not any(there):
+            why = self._connections[0].link.reason
             ports = f"{self._port} to {self._port + GATEWAYS - 1}"
             raise InputError(
                 f"gateways {self._host}:{ports}: no connection ({why}); look at address, power and network"
             )
+        for connection in self._connections:
+            connection.keep()
+
+    @property
+    def links(self) -> Sequence[Link]:
+        """One for each gateway."""
+        return [connection.link for connection in self._connections]
 
     @property
     def time_s(self) -> float:
@@ -60,14 +64,7 @@ class TcpGateways:
 
     async def send(self, gateway: int, data: bytes) -> None:
         """Bytes to a gateway; lost where there is no connection to it."""
-        writer = self._writers.get(gateway)
-        if writer is None:
-            return
-        try:
-            writer.write(data)
-            await writer.drain()
-        except OSError:
-            self._writers.pop(gateway, None)  # who reads may have noticed first
+        await self._connections[gateway].send(data)
 
     async def receive(self, timeout_s: float) -> list[tuple[int, bytes]]:
         """What gateways have said; waits up to `timeout_s` of their time for anything."""
@@ -81,17 +78,5 @@ class TcpGateways:
 
     async def close(self) -> None:
         """Lets go. Closing twice does no harm."""
-        for task in self._readers:
-            task.cancel()
-        for writer in self._writers.values():
-            writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
-        self._writers, self._readers = {}, []
-
-    async def _read(self, gateway: int, reader: asyncio.StreamReader) -> None:
-        """Until the connection ends; what is sent after that is lost."""
-        with contextlib.suppress(OSError):
-            while data := await reader.read(READ_BYTES):
-                self._said.put_nowait((gateway, data))
-        self._writers.pop(gateway, None)
+        for connection in self._connections:
+            await connection.close()

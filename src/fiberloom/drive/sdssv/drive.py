@@ -25,6 +25,7 @@ from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan, Trajectory, Verification, plan, plan_corrections
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 
 
@@ -133,6 +134,7 @@ class SdssvDrive:
         """Closes the bus; one that the caller has opened stays open."""
         await self.client.close()
 
+    @part("maps")
     def _all_on_the_wire(self, planned: Plan) -> dict[int, WireTrajectory]:
         moving = [robot for robot in planned.robots if robot.moves]
         rows = self.plane.index_of([robot.positioner_id for robot in moving]).tolist()

@@ -37,6 +37,11 @@ from fiberloom.typing import Flags, Floats, Ints
 
 SLIP_DEG = 0.5
 """[A] A unit that counts so much otherwise at its switch, after the trial, has lost steps."""
+LOST_DEG = 0.1
+"""[A] A unit that counts so much otherwise at its switch, after a field, has lost steps in it. Datums repeat
+to 0.07 deg where 30 um at a reach of 25 mm is accepted (ukatc/FPUVerification)."""
+NEAR_DEG = 5.0
+"""[A] One that is stopped by its limit on its way home, for it has lost steps, is so near."""
 TRIAL_DEG = 30.0
 """[A] Way of the trial, by alpha, folded."""
 CLOCK = MotionLimits(speed_deg_s=1e3, acceleration_deg_s2=1e6)
@@ -84,6 +89,9 @@ class StepperDrive:
         self.doubt_deg = np.zeros((n, 2))
         """(N, 2) by so much an arm may be off where it is believed, that fell silent on its way."""
         self._found: dict[int, Suspect] = {}
+        self._with_datum: set[int] = set()
+        """Numbers of those that know their datum."""
+        self._lost: dict[int, str] = {}
 
     # who is there
 
@@ -135,6 +143,9 @@ class StepperDrive:
             if one.homed:
                 row = self.plane.index_of(number)
                 self.counts[row], self.doubt_deg[row] = one.counts, 0.0
+                self._with_datum.add(number)
+            else:
+                self._with_datum.discard(number)
 
     async def home(self, ids: Iterable[int]) -> Results:
         """Searches the switches of these, no two neighbours at once. Who ends well is there."""
@@ -149,8 +160,28 @@ class StepperDrive:
                 results[number] = Result(number, Outcome.TIMED_OUT)
                 continue
             results[number] = Result(number, Outcome.DONE)
+            self._compare(number, one)
             self.counts[row], self.rising[row] = 0, -self.known.steps.sign
+            self._with_datum.add(number)
         return Results(results)
+
+    def _compare(self, number: int, found: Homed) -> None:
+        """Notes what a unit has lost since its last datum, where it had one."""
+        lost_deg = np.abs(found.slip) * self.known.steps.step_deg
+        if number in self._with_datum and (lost_deg > LOST_DEG).any():
+            self._lost[number] = (
+                f"has lost steps since its last datum: {found.slip[0]} of alpha and {found.slip[1]} of beta, "
+                f"{lost_deg[0]:.2f} and {lost_deg[1]:.2f} deg; where it was since then is not what it counted"
+            )
+
+    def near_datum(self) -> Flags:
+        """(N,) by their counts, within `NEAR_DEG` of both switches."""
+        return np.asarray((np.abs(self.counts) * self.known.steps.step_deg < NEAR_DEG).all(axis=1))
+
+    def lost_steps(self) -> dict[int, str]:
+        """What the latest searches have found to be lost, by number; each is told once."""
+        found, self._lost = self._lost, {}
+        return found
 
     async def _try(self, ids: list[int]) -> None:
         """A little way with arms folded, and the switches again: who counts otherwise loses steps."""
@@ -204,7 +235,9 @@ class StepperDrive:
 
     def _prepared(self, wanted: Wanted) -> Programme:
         begun_s = time.thread_time()
-        wanted = replace(wanted, obstacles=self._doubted(wanted.obstacles))
+        wanted = replace(
+            wanted, obstacles=self._doubted(wanted.obstacles), goal_deg=self._at_datum(wanted.goal_deg)
+        )
         moves = (np.abs(wanted.goal_deg - wanted.here_deg).max(axis=1) > 1e-9) & ~wanted.obstacles.offline
         refused: dict[int, str] = {}
         made = self._made(wanted, moves, refused)
@@ -216,6 +249,17 @@ class StepperDrive:
             moves[list(met)] = False
             made = self._made(wanted, moves, refused)
         return made.timed(begun_s)
+
+    def _at_datum(self, goal_deg: Floats) -> Floats:
+        """Goals (N, 2) deg, of those that are to fold at home by their own switches.
+
+        These close a little off the place that the layout has, which may be beyond a limit.
+        """
+        home = np.stack([self.plane.park_deg, np.broadcast_to(self.known.steps.home_deg, goal_deg.shape)])
+        folds = np.asarray((np.abs(goal_deg - home) < 1e-6).all(axis=(0, 2)))
+        nothing = np.zeros_like(self.counts)
+        datum = self.known.true_deg(nothing, np.full(goal_deg.shape, -self.known.steps.sign))
+        return np.where(folds[:, None], datum, goal_deg)
 
     def _made(self, wanted: Wanted, moves: Flags, refused: dict[int, str]) -> Programme:
         legs, why = self.maker.legs(wanted, moves, self.counts, self.known)
@@ -232,7 +276,8 @@ class StepperDrive:
             pair = [row, int(self.plane.index_of(int(one.other)))] if one.other.isdigit() else [row]
             mover = next((k for k in reversed(pair) if moves[k]), None)
             if mover is not None and one not in found.contacts and not any(k in met for k in pair):
-                met[mover] = f"its way comes too near to another arm: {one}"
+                near = one.other.isdigit()
+                met[mover] = f"its way {'comes too near to another arm' if near else 'is not safe'}: {one}"
         return met
 
     def _plan(self, wanted: Wanted, legs: list[Leg], refused: dict[int, str]) -> Plan:

@@ -16,6 +16,7 @@ from fiberloom._core import geometry
 from fiberloom.instruments import FocalPlane
 from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import CollisionBodies
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad
 
@@ -106,6 +107,7 @@ class Clearing:
 
     # rounds
 
+    @part("clearing")
     def beta_round(self, waiting: list[int]) -> Round:
         """As many of the waiting rows as can search beta at once; none where none can."""
         found = Round([], np.where(self.mobile[:, None], self.plane.park_deg, self.here_deg), {})

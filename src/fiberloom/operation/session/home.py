@@ -18,6 +18,7 @@ from fiberloom.operation.session.clearing import FOLDED_DEG, Clearing, Round, wi
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.planning.bodies import travel_rad
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
 
@@ -174,6 +175,7 @@ class Homing:
         if np.abs(made.goals_deg - here_deg)[self.motion.state.mobile].max(initial=0.0) > 0.0:
             await self.motion.go(Goals.without_targets(self._plane, made.goals_deg))
 
+    @part("clearing")
     def _ready(self, made: Round, axis: str) -> list[int]:
         """Searchers whose way is clear as positioners really are, and passes the verifier."""
         clearing, state = self._clearing(), self.motion.state
@@ -186,23 +188,23 @@ class Homing:
         if axis == "both":
             return rows
         # one that was seen not to follow on the way there is an obstacle by now
-        return [row for row in rows if state.mobile[row] and self._verified(row, axis)]
+        mobile, plane = state.mobile, state.obstacles()
+        standing = [
+            Trajectory(int(p), np.zeros(1), *place_deg[None].T)
+            for p, place_deg in zip(self._plane.positioner_id, state.here_deg, strict=True)
+        ]
+        return [row for row in rows if mobile[row] and self._verified(row, axis, plane, standing)]
 
-    def _verified(self, row: int, axis: str) -> bool:
-        """The verifier's word on the way of one searcher, all others at rest."""
-        here_deg, column = self.motion.state.here_deg, 0 if axis == "alpha" else 1
+    def _verified(self, row: int, axis: str, plane: FocalPlane, standing: list[Trajectory]) -> bool:
+        """The verifier's word on the way of one searcher, all others `standing`."""
+        column = 0 if axis == "alpha" else 1
         low_deg = rad_to_deg(travel_rad(self._plane))[column, 0]
-        way = np.tile(here_deg[row], (2, 1))
+        way = np.tile(self.motion.state.here_deg[row], (2, 1))
         way[1, column] = low_deg
         # there and back to zero: the same places
-        trajectories = tuple(
-            Trajectory(int(p), np.array([0.0, SLOW_S]), *way.T)
-            if i == row
-            else Trajectory(int(p), np.zeros(1), *here_deg[[i]].T)
-            for i, p in enumerate(self._plane.positioner_id)
-        )
-        plane = self.motion.state.obstacles()
-        planned = Plan(plane.instrument.name, plane.collision_buffer_mm, trajectories)
+        ways = standing.copy()
+        ways[row] = Trajectory(standing[row].positioner_id, np.array([0.0, SLOW_S]), *way.T)
+        planned = Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(ways))
         return verify(plane, planned).ok
 
     async def _search(self, rows: list[int], axis: str) -> list[int]:

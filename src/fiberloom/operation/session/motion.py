@@ -10,7 +10,7 @@ from fiberloom.bus.outcome import Result, Results
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.drive.port import Programme
+from fiberloom.drive.port import CountsSteps, Programme
 from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
@@ -95,7 +95,7 @@ class SessionMotion(FieldMotion):
         """
         ids, known = self.plane.positioner_id, await self._places()
         self._known = known
-        if not self.drive.model.reports:  # what was added up is believed, where the hardware says so
+        if not self.has_client:  # what was added up is believed, where the hardware says so
             self._reported = answered.copy()
             await self.step(Step.ANSWER)
             return await super()._vouched(answered)
@@ -247,13 +247,19 @@ class SessionMotion(FieldMotion):
     @property
     def folded(self) -> bool:
         """Every positioner that follows commands is where it is parked."""
+        return bool(self.are_folded[self.state.mobile].all() and self.state.mobile.any())
+
+    @property
+    def are_folded(self) -> Flags:
+        """(N,) which are where they are parked: steppers at their switches, wherever the layout has these."""
         off_deg = np.abs(self.state.here_deg - self.plane.park_deg).max(axis=1)
-        return bool((off_deg[self.state.mobile] < FOLDED_DEG).all() and self.state.mobile.any())
+        near = np.asarray(off_deg < FOLDED_DEG)
+        return near | self.drive.near_datum() if isinstance(self.drive, CountsSteps) else near
 
     @property
     def collided(self) -> list[int]:
         """Positioners that said in this command that they had collided, and are not where they should be."""
-        if not self.drive.model.reports:  # they tell nothing
+        if not self.has_client:  # what MOONS' units have met is freed and told by their drive
             return []
         if not self.client.collisions or not self.moves or not self.moves[-1].interrupted:
             return []

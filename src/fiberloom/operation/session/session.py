@@ -53,11 +53,13 @@ class SessionReport:
     """Positioners that were not certain to be anywhere and were found by a small move, of a recovery."""
     left_out: dict[int, str] = field(default_factory=dict)
     """Reason for each positioner that did not do what was asked."""
+    lost_steps: dict[int, str] = field(default_factory=dict)
+    """Positioners that have lost steps between two searches of their datum; they are well again."""
 
     @property
     def ok(self) -> bool:
-        """Every positioner did what was asked."""
-        return not self.left_out
+        """Every positioner did what was asked, and has lost no steps before."""
+        return not self.left_out and not self.lost_steps
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,8 @@ class Session:
             await fold(motion)
         report = await beside(self._report, "home", motion)
         report.datum_found, report.left_out = homing.found, homing.left_out
+        if isinstance(homing, StopSearch):
+            report.lost_steps = homing.lost_steps
         return report
 
     async def recover(self, look_only: bool = False) -> SessionReport:
@@ -228,8 +232,7 @@ class Session:
         return np.asarray(self.plane.index_of(wanted))
 
     def _report(self, command: str, motion: SessionMotion) -> SessionReport:
-        state, status = motion.state, last_status(motion)
-        folded = np.abs(state.here_deg - self.plane.park_deg).max(axis=1) < 2.0
+        status, folded = last_status(motion), motion.are_folded
         ids = self.plane.positioner_id
         left = {
             int(p): str(status[i]) for i, p in enumerate(ids) if not folded[i] and not self.plane.offline[i]
@@ -294,7 +297,7 @@ class HeldArray:
 
 async def _searching(motion: SessionMotion, rows: Ints) -> Homing | StopSearch:
     """The search of the positioners in `rows`, as their motors need it."""
-    if motion.drive.model.reports:
+    if motion.has_client:
         return Homing(motion, rows)
     await fold(motion)
     return StopSearch(motion, rows)
@@ -320,4 +323,5 @@ def as_table(report: SessionReport) -> dict[str, Any]:
             else {}
         ),
         "left_out": report.left_out,
+        **({"lost_steps": report.lost_steps} if report.lost_steps else {}),
     }

@@ -7,10 +7,9 @@ from typing import cast
 
 import numpy as np
 
-from fiberloom.drive.port import SearchesStops
-from fiberloom.operation.motion import FieldMotion
+from fiberloom.drive.port import CountsSteps, SearchesStops
 from fiberloom.operation.safety.stop import reason, to_its_end
-from fiberloom.operation.session.clearing import FOLDED_DEG
+from fiberloom.operation.session.motion import SessionMotion
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
 from fiberloom.typing import Floats, Ints
@@ -22,11 +21,13 @@ SLOW_S = 400.0
 class StopSearch:
     """Searches the stops of positioners of a folded field; which were found, and why others were not."""
 
-    def __init__(self, motion: FieldMotion, rows: Ints) -> None:
+    def __init__(self, motion: SessionMotion, rows: Ints) -> None:
         """`motion`: of the field, folded; `rows` (n,): of the positioners to search."""
         self.motion, self.rows = motion, rows
         self.found: list[int] = []
         self.left_out: dict[int, str] = {}
+        self.lost_steps: dict[int, str] = {}
+        """What is found to be lost since the last search, by number."""
 
     async def run(self) -> None:
         """Searches all at once whose way is proven clear. InputError where the bus is gone."""
@@ -38,8 +39,7 @@ class StopSearch:
 
     def _ready(self) -> list[int]:
         """Those that answer and are folded."""
-        state, plane = self.motion.state, self.motion.plane
-        folded = np.abs(state.here_deg - plane.park_deg).max(axis=1) < FOLDED_DEG
+        state, plane, folded = self.motion.state, self.motion.plane, self.motion.are_folded
         ready = []
         for row in self.rows.tolist():
             number = int(plane.positioner_id[row])
@@ -83,6 +83,10 @@ class StopSearch:
             await to_its_end(motion.stop(reason(error)))
             raise
         self.found = [i for i in ids if results[i].ok]
+        if isinstance(drive, CountsSteps):
+            self.lost_steps = drive.lost_steps()
+            for number, text in self.lost_steps.items():
+                motion.state.recorder.event("alarm", text, number)
         self.left_out |= {i: f"its search ended otherwise: {results[i]}" for i in ids if not results[i].ok}
 
 

@@ -63,11 +63,13 @@ class ServedNight:
         self._store: Store | None = None
         self._news, self._over = threading.Event(), threading.Event()
         self._sent: set[int] = set()
+        self._judged: tuple[int, ...] = ()
+        """Runs of visits that health has looked at."""
         self._thread = threading.Thread(target=self._show, name="fiberloom-night", daemon=True)
 
     def start(self) -> None:
         """Begins to show the night."""
-        self._store = Store.open(self.array.place.store)
+        self._store = Store.open(self.array.place.record)
         self._thread.start()
 
     def close(self) -> None:
@@ -190,6 +192,7 @@ class ServedNight:
             field.command_line,
             field.seed,
             virtual=array.bus.startswith(TWIN),
+            database=array.place.database,
             witness=array.live,
             control=NightControl(),
             begun=self._begun,
@@ -224,11 +227,21 @@ class ServedNight:
             self._news.clear()
             try:
                 self.array.hub.publish("night", self.view())
+                self._judge()
                 self._send()
             except InputError as error:
                 _log.error("the night cannot be shown: %s", one_line(error))
             except Exception:  # it is shown again with the next change
                 _log.exception("the night cannot be shown")
+
+    def _judge(self) -> None:
+        """Health looks at each visit as soon as its fibres were measured: a night is long."""
+        book = self._book()
+        visits = [] if book is None else book.visits()
+        measured = tuple(v.run_id for v in visits if v.run_id is not None and v.rms_um is not None)
+        if measured != self._judged:
+            self.array.propose()
+            self._judged = measured
 
     def _send(self) -> None:
         """Tells people outside of alarms that are new."""

@@ -27,6 +27,7 @@ class Model {
   slider = null;  // s in the plan that are shown in place of what is now
   time_s = NaN;
   who = { name: "", role: "viewer" };
+  linked = false;
   from = null;  // the picture before, to go smoothly to the last one
   at = 0;
 
@@ -43,6 +44,12 @@ class Model {
     const out = new Float32Array(this.from.length), to = this.plane.angles;
     for (let k = 0; k < out.length; k++) out[k] = this.from[k] + part * (to[k] - this.from[k]);
     return out;
+  }
+
+  // why nothing else may begin now; empty: it may
+  busy() {
+    if (this.running) return `${this.running.command} of ${this.running.author} runs`;
+    return this.array.owner ? `in use by ${this.array.owner}` : "";
   }
 
   may(role) { return ROLES.indexOf(this.who.role) >= ROLES.indexOf(role); }
@@ -70,6 +77,8 @@ async function begin() {
   }
   await snapshot();
   await lists();
+  model.linked = true;
+  words();
   $("link").textContent = "live";
   $("link").classList.remove("off");
   say("");
@@ -147,6 +156,8 @@ stream({
     $("link").textContent = "no connection";
     $("link").classList.add("off");
     model.time_s = NaN;
+    model.linked = false;
+    words();
   },
 });
 
@@ -167,7 +178,7 @@ function words() {
   if (!plane) return;
   $("title").textContent = `fiberloom · ${plane.instrument} · ${plane.n}`;
   const now = Number.isFinite(model.time_s) ? "moving" : "at work";
-  const state = running ? now : array.state;
+  const state = !model.linked ? "not known" : running ? now : array.state;
   $("array-state").textContent = state;
   $("array-state").title = array.text || array.address;
   $("array-state").className = `badge is-${state.replace(" ", "-")}`;
@@ -177,7 +188,10 @@ function words() {
   $("who").textContent = `${model.who.name}, ${model.who.role}`;
   showAlarms($("alarms"), allAlarms(), { acknowledge, choose: (id) => choose(plane.row.get(id) ?? -1, true), propose: exclude, may: (r) => model.may(r) });
   for (const button of document.querySelectorAll("[data-role]")) {
-    button.disabled = !model.may(button.dataset.role);
+    const why = refused(button);
+    button.dataset.hint ??= button.title;
+    button.disabled = why !== "";
+    button.title = why || button.dataset.hint;
     button.classList.toggle("disabled", button.disabled);
   }
   $("night").hidden = $("night-bars").hidden = !model.night;
@@ -188,6 +202,15 @@ function words() {
     $("slider-name").textContent = `plan: ${planAbout.label}`;
   }
   legend();
+}
+
+// why a button cannot be used now; empty: it can
+function refused(button) {
+  if (!model.may(button.dataset.role)) return `needs the role ${button.dataset.role}`;
+  if (button === $("park") && model.night?.goes_on) return "";  // at once, as the night's own button
+  if (button.dataset.moves === undefined) return "";
+  if (button === $("observe") && !$("targets").value) return "add a target list first";
+  return model.busy();
 }
 
 function legend() {
@@ -221,7 +244,8 @@ async function chosenKnown() {
     button.disabled = !model.may("engineer");
     button.onclick = () => (excluded ? command("/api/v1/include", { positioners: [id] }) : exclude(id, ""));
     const home = element("button", "home this one");
-    home.disabled = !model.may("engineer");
+    home.disabled = !model.may("engineer") || model.busy() !== "";
+    home.title = model.busy();
     home.onclick = () => asked(`Search the datum of positioner ${id}?`, "/api/v1/home", { positioners: [id] });
     return [button, home];
   });
@@ -320,6 +344,7 @@ $("upload").onchange = async () => {
     const { name, targets } = await send(`/api/v1/targets/${encodeURIComponent(file.name)}`, file, {}, "PUT");
     await lists();
     $("targets").value = name;
+    words();
     say(`${name}: ${targets} targets`);
   } catch (error) { failed(error); }
   $("upload").value = "";
@@ -411,4 +436,4 @@ function frame(now) {
 new ResizeObserver(() => view.resize()).observe(field);
 theme(localStorage.getItem("theme") ?? "dark");
 requestAnimationFrame(frame);
-window.fiberloom = { model, view };
+window.fiberloom = { model, view, words };

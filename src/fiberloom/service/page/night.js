@@ -79,7 +79,7 @@ export function showNight(place, night, { may, begin, pause, goOn, park, skip, f
     : [...(night.resume ? [button("resume night", "operator", may, () => begin(true))] : []), button("begin night", "operator", may, () => begin(false))];
   const parts = [element("h2", nightWords(night)), element("div", "", "row", ...buttons)];
   if (night.fields) {
-    const table = element("table", "", "fields", element("tr", "", "", ...["field", "state", "on target", "um", ""].map((t) => element("th", t))));
+    const table = element("table", "", "fields", element("tr", "", "", ...["field", "state", "on target", "um", ""].map((t) => element("th", t, t === "state" ? "left" : ""))));
     for (const f of night.fields) {
       const over = ["done", "failed", "skipped"].includes(f.state) || !night.goes_on;
       const acts = over ? [] : [button("first", "operator", may, () => first(f.name), "higher than all others"), button("skip", "operator", may, () => skip(f.name))];

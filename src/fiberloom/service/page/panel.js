@@ -22,7 +22,7 @@ export function showAlarms(place, alarms, { acknowledge, choose, propose, may })
     subject.disabled = !numbered;
     const count = alarm.count > 1 ? ` (${alarm.count} times)` : "";
     const what = element("span", "", "what", element("b", `${alarm.severity}: ${alarm.code}`), ` ${alarm.text}${count} `,
-      element("span", alarm.advice, "advice"), ` since ${time(alarm.since)} UTC${on ? "" : `, gone since ${time(alarm.gone)}`}`);
+      element("span", alarm.advice, "advice"), `, since ${time(alarm.since)} UTC${on ? "" : `, gone since ${time(alarm.gone)}`}`);
     row.append(subject, what);
     if (alarm.code === "health" && on) {
       const exclude = element("button", "exclude …");

@@ -3,6 +3,8 @@ import { lookOf, shape } from "/page/look.js";
 
 const ERROR_TIMES = 1000;  // error vectors are drawn so many times as long
 const LONGEST_MM = 20;  // as drawn; a longer one ends with a ring
+const FAR_PX = 30;  // of a reach: with fewer the field is seen from afar, and marks would hide the arms
+const THIN_PX = 2.5;  // narrower lines have plain ends: round ones look the same, and cost most of the drawing
 
 export class View {
   constructor(still, moving, model) {
@@ -14,6 +16,7 @@ export class View {
     this.fitted = true;
     this.theme("dark");
     this.drawn = 0;
+    this.stillDrawn = 0;
     this.stale = true;
   }
 
@@ -46,6 +49,15 @@ export class View {
     this.fitted = false;
     this.stale = true;
   }
+
+  // the field is seen from afar
+  get far() { return this.scale * this.model.plane.reach_mm[0] < FAR_PX * this.ratio; }
+
+  // of a mark, canvas pixels
+  get markRadius() { return Math.min(Math.max(1.1 * this.scale, 2.2 * this.ratio), 9 * this.ratio); }
+
+  // ends of lines that are so many canvas pixels wide
+  cap(width) { return width < THIN_PX * this.ratio ? "butt" : "round"; }
 
   // canvas pixels of a place in mm: x to the right, y up
   px(x) { return this.still.canvas.width / 2 + this.scale * (x - this.centre[0]); }
@@ -107,6 +119,8 @@ export class View {
     const still = moves ? (row) => !moves[row] : () => true;
     this.arms(c, this.model.shownAngles(), still);
     if (moves) this.marks(c, still, false);
+    if (moves && this.far) this.targets(c, paper, this.markRadius);
+    this.stillDrawn++;
   }
 
   disc(c, x, y, r) {
@@ -130,12 +144,12 @@ export class View {
   // arms as capsules, one path for a colour
   arms(c, angles, wanted) {
     const { plane, states } = this.model, { colours, paper } = this.look;
-    const [x0, y1] = this.at0(0, 0), [x1, y0] = this.at0(c.canvas.width, c.canvas.height), far = plane.reach_mm[0] + 5;
+    const inSight = this.sight(plane.reach_mm[0] + 5);
     const alpha = new Path2D(), beta = new Map(), lost = new Path2D();
     for (let row = 0; row < plane.n; row++) {
       if (!wanted(row)) continue;
       const [cx, cy] = plane.centres_mm[row];
-      if (cx < x0 - far || cx > x1 + far || cy < y0 - far || cy > y1 + far) continue;
+      if (!inSight(cx, cy)) continue;
       const arm = plane.arm(row, angles), name = plane.states[states[row]];
       if (!arm.length) {  // it may be anywhere within its reach
         const r = plane.reach_mm[row] * this.scale;
@@ -150,11 +164,12 @@ export class View {
       path.moveTo(this.px(arm[2]), this.py(arm[3]));
       path.lineTo(this.px(arm[4]), this.py(arm[5]));
     }
-    c.lineCap = "round";
     c.lineWidth = 1.3 * plane.buffer_mm * this.scale;
+    c.lineCap = this.cap(c.lineWidth);
     c.strokeStyle = paper.alpha;
     c.stroke(alpha);
     c.lineWidth = 2 * plane.buffer_mm * this.scale;
+    c.lineCap = this.cap(c.lineWidth);
     for (const [name, path] of beta) {
       c.globalAlpha = name === "excluded" || name === "offline" ? 0.35 : 0.75;
       c.strokeStyle = colours[name];
@@ -168,6 +183,12 @@ export class View {
     c.setLineDash([]);
   }
 
+  // tells of a place in mm whether it is in sight, or no farther from that than so many mm
+  sight(far) {
+    const { width, height } = this.still.canvas, [x0, y1] = this.at0(0, 0), [x1, y0] = this.at0(width, height);
+    return (x, y) => x > x0 - far && x < x1 + far && y > y0 - far && y < y1 + far;
+  }
+
   at0(px, py) {
     const { width, height } = this.still.canvas;
     return [this.centre[0] + (px - width / 2) / this.scale, this.centre[1] - (py - height / 2) / this.scale];
@@ -176,11 +197,11 @@ export class View {
   // the shape of a state at each fibre; targets and errors, which do not move, once
   marks(c, wanted, all = true) {
     const { model } = this, { plane, states } = model, { colours, paper } = this.look, angles = model.shownAngles();
-    const r = Math.min(Math.max(1.1 * this.scale, 2.2 * this.ratio), 9 * this.ratio);
-    if (this.scale * 20 < 30 * this.ratio && model.moves() && all) { this.targets(c, paper, r); return; }
-    const paths = new Map();
+    const r = this.markRadius;
+    if (this.far && model.moves() && all) return;  // targets are with what is still
+    const paths = new Map(), moves = model.moves(), inSight = this.sight(plane.reach_mm[0] + 5);
     for (let row = 0; row < plane.n; row++) {
-      if (model.moves() && !wanted(row)) continue;
+      if ((moves && !wanted(row)) || !inSight(...plane.centres_mm[row])) continue;
       const arm = plane.arm(row, angles);
       const [x, y] = arm.length ? [arm[6], arm[7]] : plane.centres_mm[row];
       const name = plane.states[states[row]];
@@ -203,23 +224,27 @@ export class View {
   targets(c, paper, r) {
     const { seen, showErrors } = this.model;
     if (!seen.targets) return;
+    c.lineCap = "butt";
     c.lineWidth = Math.max(1, 0.9 * this.ratio);
-    c.strokeStyle = paper.target;
+    c.strokeStyle = c.fillStyle = paper.target;
     c.beginPath();
+    const dot = 1.5 * this.ratio, far = this.far, inSight = this.sight(LONGEST_MM + 5);
     for (const [x, y] of seen.targets) {
-      if (x === null) continue;
+      if (x === null || !inSight(x, y)) continue;
       const px = this.px(x), py = this.py(y), s = 1.5 * r;
+      if (far) { c.rect(px - dot / 2, py - dot / 2, dot, dot); continue; }
       c.moveTo(px - s, py); c.lineTo(px - s / 2, py); c.moveTo(px + s / 2, py); c.lineTo(px + s, py);
       c.moveTo(px, py - s); c.lineTo(px, py - s / 2); c.moveTo(px, py + s / 2); c.lineTo(px, py + s);
     }
-    c.stroke();
+    if (far) c.fill();
+    else c.stroke();
     if (!showErrors || !seen.errors_um) return;
     c.strokeStyle = paper.error;
     c.lineWidth = Math.max(1.5, 1.4 * this.ratio);
     c.beginPath();
     seen.errors_um.forEach(([ex, ey], row) => {
       const [x, y] = seen.targets[row];
-      if (ex === null || x === null) return;
+      if (ex === null || x === null || !inSight(x, y)) return;
       const times = ERROR_TIMES / 1000, drawn_mm = times * Math.hypot(ex, ey), part = Math.min(1, LONGEST_MM / drawn_mm);
       const tx = x + part * times * ex, ty = y + part * times * ey;
       c.moveTo(this.px(x), this.py(y));

@@ -19,6 +19,18 @@ def counts_text(report: dict[str, Any]) -> str:
     return ", ".join(f"{name} {value:.10g}" for name, value in report.items() if not isinstance(value, list))
 
 
+def _causes(report: dict[str, Any]) -> list[str]:
+    """Why ticks were not kept; nothing where all were."""
+    found = {name: n for name, n in report["late_by_cause"].items() if n}
+    first = report["first_by_cause"]
+    if not found:
+        return []
+    woken, computing = ("{:.2f} ms (half), {:.2f} ms (99 %), {:.2f} ms (worst)".format(*report[name])
+                        for name in ("woken_ms", "computing_ms"))  # fmt: skip
+    late = ", ".join(f"{name} {n} ({first[name]} by themselves)" for name, n in found.items())
+    return [f"not kept: {late}; woken late by {woken}; a tick computed in {computing}"]
+
+
 def paced_text(report: dict[str, Any]) -> str:
     """The `report` of a twin that keeps the ticks of a clock, as a few lines."""
     lines = [
@@ -26,6 +38,7 @@ def paced_text(report: dict[str, Any]) -> str:
         f"{report['ticks']} ticks computed, {report['resting']} at rest",
         f"kept {100 * report['share_kept']:.2f} % of the ticks; late by {report['p50_ms']:.2f} ms (half), "
         f"{report['p99_ms']:.2f} ms (99 %), {report['worst_ms']:.2f} ms (worst)",
+        *_causes(report),
         f"{report['clients']} clients, {report['frames_in']} frames in, {report['frames_out']} out",
     ]
     lost = [f"{report[key]:.4g} {what}" for key, what in _LOSSES.items() if report[key]]

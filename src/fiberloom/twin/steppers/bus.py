@@ -38,6 +38,11 @@ class StepperBus:
         """Whether a rotor still turns."""
         return bool(self.busy_until_s[row, axis] > self.time_s + 1e-9)
 
+    @property
+    def next_s(self) -> float:
+        """When something happens by itself; infinity: never."""
+        return np.inf
+
     def advance(self, duration_s: float) -> None:
         """Lets time pass, s."""
         self.time_s += duration_s

@@ -11,7 +11,7 @@ from fiberloom.drive.steppers.drive import TRIAL_DEG
 from fiberloom.drive.steppers.square import SquareMaker
 from fiberloom.twin.desi.transport import DesiTransport
 from fiberloom.twin.steppers.lamost import VirtualRadio
-from fiberloom.twin.steppers.megara import BUSES, MegaraBus
+from fiberloom.twin.steppers.megara import MegaraBus, bus_of
 from fiberloom.twin.steppers.moons import MoonsBus, VirtualGateways
 from fiberloom.twin.steppers.source import ArrayKind
 
@@ -21,7 +21,7 @@ KINDS = {
         link=lambda bus, faults: MegaraLink(DesiTransport(bus, faults)),
         maker=lambda instrument: SquareMaker.of(instrument, TRIAL_DEG),
         bench=BenchSettings(knots=25, sweeps=3),
-        gateway_of=lambda number: number % BUSES,
+        gateway_of=bus_of,
     ),
     "moons": ArrayKind(
         bus=MoonsBus,

@@ -25,6 +25,11 @@ BUSES = 4
 """[A] So many, each with a supply of its own; robots by their number in turn."""
 
 
+def bus_of(robot: int) -> int:
+    """Number of the bus of a robot by its own, from 0."""
+    return robot % BUSES
+
+
 class MegaraBus(StepperBus):
     """Robots on a bus: what an outside host would meet."""
 
@@ -50,11 +55,17 @@ class MegaraBus(StepperBus):
                 for address in self._addressed(frame):
                     for rotor in _rotors(frame):
                         searching.setdefault(rotor, []).append(address)
-            else:
-                replies += self._obey(frame, command)
+                continue
+            self._search_all(searching)  # what comes after them finds them searching
+            replies += self._obey(frame, command)
+        self._search_all(searching)
+        return replies
+
+    def _search_all(self, searching: dict[int, list[int]]) -> None:
+        """Begins the searches of these addresses by rotor, and forgets them."""
         for rotor, addresses in searching.items():
             self._search(addresses, rotor)
-        return replies
+        searching.clear()
 
     def run(self, duration_s: float) -> list[MegaraFrame]:
         """Lets time pass, s. No robot speaks unasked."""

@@ -78,8 +78,10 @@ class MoonsBus(StepperBus):
                     searching.append(address)
                 elif command is MoonsCommand.EXECUTE:
                     self._armed.append(address)
-                elif (answer := self._obey(address, frame, command)) is not None:
-                    answers.append((address, answer))
+                else:
+                    self._search(searching)  # what comes after them finds them searching
+                    searching = []
+                    answers += self._obeyed(address, frame, command)
         self._search(searching)
         return [(UnitPlace.of(a).gateway, packed(_frame(a, answer))) for a, answer in answers]
 
@@ -89,6 +91,13 @@ class MoonsBus(StepperBus):
             return [n for n in self.units if n not in self.unheard and UnitPlace.of(n)[:2] == line]
         number = UnitPlace(gateway, frame.bus, frame.address).number
         return [number] if number in self.units and number not in self.unheard else []
+
+    def _obeyed(
+        self, address: int, frame: MoonsFrame, command: MoonsCommand
+    ) -> list[tuple[int, MoonsAnswer]]:
+        """The answer of an address, where there is one."""
+        answer = self._obey(address, frame, command)
+        return [] if answer is None else [(address, answer)]
 
     def _obey(self, address: int, frame: MoonsFrame, command: MoonsCommand) -> MoonsAnswer | None:
         unit, error = self.units[address], MoonsError.NONE

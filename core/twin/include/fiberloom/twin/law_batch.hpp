@@ -54,6 +54,25 @@ namespace fl::twin {
 
 inline constexpr int smooth_ticks = 32; // FL_SMOOTH_TICKS
 
+// What the law that knows the contact needs beside that: configuration and states. Few arrays run it.
+struct alignas(64) ContactLanes {
+#define X(type, name) type name[lane_group_size];
+    struct {
+        FL_LAW_TEETH(X)
+    } teeth;
+    struct {
+        FL_LAW_REGULATOR(X)
+    } regulator;
+    struct {
+        FL_LAW_GAP(X)
+    } gap;
+    struct {
+        FL_LAW_SEEN(X)
+    } seen;
+#undef X
+    float slack_Nm[lane_group_size]; // of the regulator's state
+};
+
 // Configuration, state, input and output of the laws of one axis of a lane group, field by field.
 struct alignas(64) LawBatch {
     using Floats = float[lane_group_size];
@@ -74,13 +93,7 @@ struct alignas(64) LawBatch {
     struct {
         FL_LAW_TOUCH(X)
     } touch;
-    struct {
-        FL_LAW_TEETH(X)
-    } teeth;
-    struct {
-        FL_LAW_REGULATOR(X)
-    } regulator;
-    // states of servo, touch, teeth and regulator, in and out; the input; its output
+    // states of servo and touch, in and out; the input; its output
     struct {
         FL_LAW_STATE(X)
     } state;
@@ -91,12 +104,6 @@ struct alignas(64) LawBatch {
         FL_LAW_RIPPLE(X)
     } ripple;
     struct {
-        FL_LAW_GAP(X)
-    } gap;
-    struct {
-        FL_LAW_SEEN(X)
-    } seen;
-    struct {
         FL_LAW_INPUT(X)
     } input;
     struct {
@@ -104,7 +111,6 @@ struct alignas(64) LawBatch {
     } torque;
 #undef X
     Floats voltage_per_Nm, full_Nm;
-    Floats slack_Nm; // of the regulator's state, in and out
     Ints law;
     Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
     Floats rotor_sin, rotor_cos;
@@ -136,6 +142,9 @@ struct alignas(64) LawBatch {
         Ints over;
     } settle;
 #undef X
+
+    // Of lanes that want that law: somebody has to put them there. Last, so that arrays stay aligned.
+    ContactLanes *contact = nullptr;
 };
 
 } // namespace fl::twin

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "fiberloom/arm.hpp"
@@ -101,8 +102,10 @@ class Neighbours {
     // The farthest that it can come from one sync point to the next.
     double farthest_mm(size_t i) const { return speed_mm_s_[i] * static_cast<double>(sync_ticks) * tick_s; }
 
-    // Memory of one positioner, with the longest list of neighbours.
-    size_t bytes_per_positioner() const;
+    // Memory of all positioners together.
+    size_t bytes() const;
+    // The arm of positioner i.
+    const Arm &arm(size_t i) const { return arms_[i]; }
     // Number of arms.
     size_t positioner_count() const { return arms_.size(); }
 
@@ -118,13 +121,20 @@ class Neighbours {
         std::vector<Contact> now;
         Push push;
     };
+    // Of a pair, as one of the two keeps it: 16 bytes, for all pairs of a plane are gone through.
     struct Near {
-        uint32_t number;        // as in Touch
-        bool exact = true;      // by their poses then, else by their travels
-        uint64_t next_look = 0; // tick before which the two cannot touch
-        double meet_mm = 0.0;   // they cannot until both have travelled so far
-        double worth_mm = 0.0;  // nearer by their travels than this, another exact look pays
+        static constexpr int tick_bits = 43, number_bits = 20; // 140 years, a million
+        uint64_t next_look : tick_bits;                        // tick before which the two cannot touch
+        uint64_t exact : 1;                                    // by their poses then, else by their travels
+        uint64_t number : number_bits;                         // as in Touch
+        uint32_t meet_um; // they cannot until both have travelled so far, modulo 2^32
+        float worth_mm;   // nearer by their travels than this, another exact look pays
     };
+    static_assert(sizeof(Near) == 16);
+    // Those of positioner i.
+    std::span<Near> near(size_t i) {
+        return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};
+    }
     struct Levers { // mm of an arm for a motor rad of its gears
         double alpha, beta;
     };
@@ -142,7 +152,8 @@ class Neighbours {
         Closest closest;
     };
     double reach_mm(size_t i) const;
-    void find_speeds();
+    void find_speeds(const std::vector<Give> &gives);
+    void add_near(size_t number);
     void find_neighbours();
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
@@ -154,9 +165,13 @@ class Neighbours {
     std::vector<Arm> arms_;
     std::vector<Obstacle> obstacles_;
     Body body_;
-    std::vector<Give> gives_;
-    std::vector<double> speed_mm_s_; // at which a point of an arm moves at most
-    std::vector<std::vector<Near>> near_;
+    struct Compliance {
+        double rad_per_Nm[2];
+    };
+    std::vector<Compliance> compliances_; // of the arms
+    std::vector<double> speed_mm_s_;      // at which a point of an arm moves at most
+    std::vector<Near> near_;              // of all, one after the other
+    std::vector<uint32_t> first_near_;    // of each, and one more
     std::vector<Levers> levers_mm_;
     // tick before which nothing can touch positioner i; and before which nothing asks where it is
     std::vector<uint64_t> next_look_, next_exact_;

@@ -42,6 +42,9 @@ class Plant {
     // and what is wrong with it. kernel: a name, or "" for the best of this machine.
     Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
           const char *kernel = "", Substeps substeps = {});
+    Plant(const Plant &) = delete;
+    Plant &operator=(const Plant &) = delete;
+    Plant(Plant &&) = default;
 
     // Number of axes.
     size_t axis_count() const { return axes_.size(); }
@@ -56,8 +59,8 @@ class Plant {
     // Then, once the duties are set, 0.5 ms of physics.
     void step(size_t group);
 
-    // Memory of one axis whose gear has no mark of wear.
-    size_t bytes_per_axis() const { return sizeof(Axis) + sizeof(AxisGroup) / lane_count; }
+    // Memory of all axes together.
+    size_t bytes() const;
 
     // A lane of a group.
     struct Place {

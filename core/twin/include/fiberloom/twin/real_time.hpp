@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "fiberloom/twin/late_watch.hpp"
 #include "fiberloom/twin/twin.hpp"
 
 namespace fl::twin {
@@ -43,6 +44,10 @@ class Lateness {
 // How the twin keeps up with the wall clock.
 struct Pace {
     Lateness busy;         // ticks in which a positioner was awake
+    Lateness woken;        // by how much the thread was late, each time it had slept until a tick was due
+    Lateness computing;    // how long the computation of such ticks took, for each tick
+    LateCounts late{};     // of the busy ticks that were not kept, by `LateCause`
+    LateCounts first{};    // of them, those that did not have to wait for another one
     uint64_t resting = 0;  // ticks that needed no computation: every positioner rested
     double given_up_s = 0; // wall time by which the clock was set back, because it was too far behind
 };
@@ -74,7 +79,7 @@ class RealTime {
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
     double tick_now() const;
-    // As of the last exchange of frames.
+    // As of 20 ms ago, or as the twin was held the last time.
     Pace pace() const;
     // Ends the thread; the clock of the twin stops.
     void stop();
@@ -100,6 +105,9 @@ class RealTime {
     void compute(uint64_t ticks);
     void deliver();
     void give_up();
+    void note(uint64_t first, uint64_t ticks, Clock::time_point begin, Clock::time_point end);
+    void rest();
+    void publish();
     bool called() const { return stop_ || holders_ > 0; }
     uint64_t ticks_begun() const;
     uint64_t ticks_due() const;
@@ -117,6 +125,8 @@ class RealTime {
     std::priority_queue<Posted, std::vector<Posted>, std::greater<>> agenda_;
     std::vector<Reply> sent_;
     Pace pace_;
+    LateWatch watch_;
+    Clock::time_point told_{}; // when pace_ was published
 
     // what it shares, and looks at only when no other thread does
     mutable std::mutex mutex_;

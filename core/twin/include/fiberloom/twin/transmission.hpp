@@ -9,6 +9,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -51,12 +52,23 @@ struct Transmission : Waves {
 };
 static_assert(sizeof(Transmission) == (4 * harmonic_count + 1 + 3 * wear_count) * sizeof(double));
 
-// The same as it is kept: most gears have no mark.
+// The same as it is kept: without orders that the gear does not have, and most gears have no mark.
 struct Gear {
+    // One order of both series.
+    struct Wave {
+        Harmonic delta_rad, backlash_rad;
+    };
     Gear() = default;
     explicit Gear(const Transmission &t);
+    // Memory beside the object itself.
+    size_t bytes() const {
+        return wave_count() * sizeof(Wave) + (wear != nullptr ? sizeof(WearMarks) : size_t{0});
+    }
+    size_t wave_count() const { return static_cast<size_t>(std::popcount(orders)); }
 
-    Waves waves;
+    uint32_t orders = 0;                   // a bit for each of harmonic_orders that it has
+    std::unique_ptr<Wave[]> waves;         // of each of them
+    double backlash_mean_rad = 0.0;        // motor angle
     std::shared_ptr<const WearMarks> wear; // none: not worn
 };
 

@@ -108,6 +108,7 @@ class Twin {
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;
     uint64_t ticks_run() const;
+    // Memory of everything, shared among all, without the firmware's own state.
     size_t bytes_per_positioner() const;
 
     void set_external_torque(size_t positioner, int axis, double torque_Nm);

@@ -86,7 +86,7 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     forget_peak()
     begun_s = time.process_time()
     drawn = generate(load_instrument(row.preset), seed, n_positioners=n_units)
-    source = source_of(drawn, seed, "noise")
+    source = source_of(drawn, seed, row.camera)
     plane, doubted, scatter = _counted_on(drawn, source)
     targets = random_targets(plane, TARGETS_PER_UNIT * len(plane), seed)
     kept, assignment = assign_relaxed(

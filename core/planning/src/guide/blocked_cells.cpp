@@ -1,4 +1,4 @@
-#include "search/blocked_cells.hpp"
+#include "guide/blocked_cells.hpp"
 
 #include "motion/clones.hpp"
 

@@ -1,4 +1,4 @@
-#include "search/cost_to_go.hpp"
+#include "guide/cost_to_go.hpp"
 
 #include "motion/clones.hpp"
 

@@ -5,7 +5,7 @@
 // little else than its path.
 #pragma once
 
-#include "search/blocked_cells.hpp"
+#include "guide/blocked_cells.hpp"
 
 #include <algorithm>
 

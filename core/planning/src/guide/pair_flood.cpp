@@ -1,0 +1,223 @@
+#include "guide/pair_flood.hpp"
+
+#include "motion/clones.hpp"
+
+#include <algorithm>
+#include <cstdlib>
+
+namespace fl::planning {
+namespace {
+
+constexpr int fewer_steps = 4; // by which there is less time, until there is room
+
+// out |= from, word by word.
+FL_CLONES void add_words(const std::uint64_t *from, int count, std::uint64_t *out) {
+    for (int k = 0; k < count; ++k) out[k] |= from[k];
+}
+
+// Each bit, and those beside it.
+inline std::uint64_t with_beside(std::uint64_t word) { return word | word << 1 | word >> 1; }
+
+// Of all lines, those beside them included, to lines that may begin and end one earlier or later.
+FL_CLONES void spread_lines(const std::uint64_t *from, int from_first, int from_end, std::uint64_t *out,
+                            int first, int end) {
+    for (int beta = first; beta < end; ++beta) {
+        std::uint64_t word = 0;
+        for (int b = std::max(beta - 1, from_first); b <= std::min(beta + 1, from_end - 1); ++b)
+            word |= from[b - from_first];
+        out[beta - first] = with_beside(word);
+    }
+}
+
+} // namespace
+
+void FloodSide::begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal) {
+    start_ = robot.start(), goal_ = robot.goal();
+    deadline_ = deadline;
+    betas_ = robot.beta().size();
+    blocks_ = BlockedCells::blocks_per_line(robot);
+    const int all = robot.alpha().size(), middle = (start_.alpha + goal_.alpha) / 2;
+    alphas_ = std::min(all, most_alphas);
+    first_alpha_ = std::clamp(middle - most_alphas / 2, 0, all - alphas_);
+    busy_.assign((steps + 1) * betas_, 0);
+    still_free_.assign(betas_, 0);
+    for (int beta = 0; beta < betas_; ++beta)
+        for (int k = 0; k < alphas_; ++k)
+            if (from_goal[robot.index({first_alpha_ + k, beta})] >= 0)
+                still_free_[beta] |= std::uint64_t{1} << k;
+}
+
+// The bits of a line of blocks, from the first line of alpha on.
+std::uint64_t FloodSide::word(const CellBlock *line) const {
+    std::uint64_t out = 0;
+    for (int k = 0; k < blocks_; ++k) {
+        const int at = k * BlockedCells::block - first_alpha_;
+        const std::uint64_t bits = line[k];
+        if (at >= most_alphas || at <= -BlockedCells::block) continue;
+        out |= at >= 0 ? bits << at : bits >> -at;
+    }
+    return out;
+}
+
+std::uint64_t FloodSide::around(Cell end, int beta) const {
+    if (std::abs(beta - end.beta) > 1) return 0;
+    return with_beside(std::uint64_t{1} << (end.alpha - first_alpha_));
+}
+
+void FloodSide::block(int step, const BlockedLines &cells, bool at_end) {
+    for (int beta = cells.first; beta < cells.end; ++beta) {
+        std::uint64_t bits = word(cells.bits + (beta - cells.first) * blocks_);
+        if (at_end) bits &= ~(around(start_, beta) | around(goal_, beta));
+        busy_[step * betas_ + beta] |= bits;
+    }
+}
+
+// The cells that can be come to by a step, and from which the goal can be come to in time.
+PairFlood::Box PairFlood::box(const FloodSide &side, int step) const {
+    const int left = std::max(std::min(side.deadline(), latest_) - step, 0);
+    const Cell p = side.start(), q = side.goal();
+    const auto low = [&](int from, int to, int least) { return std::max({from - step, to - left, least}); };
+    const auto end = [&](int from, int to, int most) {
+        return std::min({from + step, to + left, most - 1}) + 1;
+    };
+    return {low(p.alpha, q.alpha, side.first_alpha()), end(p.alpha, q.alpha, side.end_alpha()),
+            low(p.beta, q.beta, 0), end(p.beta, q.beta, side.betas())};
+}
+
+// The words of all layers; 0 if one cannot arrive in time even alone.
+std::int64_t PairFlood::lay_out(int steps) {
+    layers_.clear();
+    std::int64_t begin = 0;
+    for (int step = 0; step <= steps; ++step) {
+        const Layer layer{box(sides_[0], step), box(sides_[1], step), begin};
+        for (const Box &one : {layer.first, layer.second})
+            if (one.width() <= 0 || one.lines() <= 0) return 0;
+        begin += layer.words();
+        layers_.push_back(layer);
+    }
+    return begin;
+}
+
+// False if one cannot arrive in time even alone.
+bool PairFlood::lay_out_within(int steps) {
+    latest_ = steps;
+    std::int64_t words = lay_out(steps);
+    in_full_ = words <= most_words;
+    while (words > most_words) {
+        latest_ -= fewer_steps;
+        words = lay_out(steps);
+    }
+    if (words_.size() < words) words_.resize(static_cast<int>(words));
+    return words > 0;
+}
+
+// Where both are at an end, or next to it.
+void PairFlood::keep_ends_apart(Cell first, int at) {
+    const FloodSide &one = sides_[0], &second = sides_[1];
+    for (int beta = 0; beta < second.betas(); ++beta) {
+        if (FloodSide::around(first, one.start())) apart_[at + beta] |= second.around(second.start(), beta);
+        if (FloodSide::around(first, one.goal())) apart_[at + beta] |= second.around(second.goal(), beta);
+    }
+}
+
+const std::uint64_t *PairFlood::apart_from(Cell first, const Touching &touching) {
+    const FloodSide &second = sides_[1];
+    int &at = apart_at_[first.beta * FloodSide::most_alphas + first.alpha - sides_[0].first_alpha()];
+    if (at < 0) {
+        at = apart_.size();
+        apart_.resize(at + second.betas(), ~std::uint64_t{0});
+        const BlockedLines cells = touching(first);
+        for (int beta = cells.first; beta < cells.end; ++beta)
+            apart_[at + beta] = ~second.word(cells.bits + (beta - cells.first) * second.blocks());
+        keep_ends_apart(first, at);
+    }
+    return apart_.data() + at;
+}
+
+// From each cell of the first one by all moves of the second.
+void PairFlood::spread_second(const Layer &from, const Layer &to) {
+    const int cells = from.first.width() * from.first.lines();
+    const int lines = to.second.lines(), from_lines = from.second.lines();
+    if (spread_.size() < cells * lines) spread_.resize(cells * lines);
+    for (int cell = 0; cell < cells; ++cell)
+        spread_lines(words_.data() + from.begin + cell * from_lines, from.second.beta, from.second.end_beta,
+                     spread_.data() + cell * lines, to.second.beta, to.second.end_beta);
+}
+
+// Then by all moves of alpha of the first one, line by line of its beta.
+void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
+    const int lines = to.second.lines(), rows = from.first.lines();
+    wide_.assign(rows * to.first.width() * lines, 0);
+    for (int row = 0; row < rows; ++row)
+        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
+            std::uint64_t *out = wide_.data() + (row * to.first.width() + alpha - to.first.alpha) * lines;
+            const int low = std::max(alpha - 1, from.first.alpha),
+                      high = std::min(alpha + 1, from.first.end_alpha - 1);
+            for (int a = low; a <= high; ++a)
+                add_words(spread_.data() + (row * from.first.width() + a - from.first.alpha) * lines, lines,
+                          out);
+        }
+}
+
+// False if there are no cells left.
+bool PairFlood::step_back(int step, const Touching &touching) {
+    const Layer &from = layers_[step + 1], &to = layers_[step];
+    spread_second(from, to);
+    spread_alpha(from, to);
+    const int lines = to.second.lines(), width = to.first.width() * lines;
+    const Box &box = to.second;
+    const std::uint64_t left_out =
+        (box.width() >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << box.width()) - 1)
+        << (box.alpha - sides_[1].first_alpha());
+    bool any = false;
+    for (int beta = to.first.beta; beta < to.first.end_beta; ++beta)
+        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
+            const Cell c{alpha, beta};
+            std::uint64_t *out = words_.data() + to.begin + to.first.place(c) * lines;
+            std::fill(out, out + lines, 0);
+            if (!sides_[0].free(c, step)) continue;
+            for (int b = std::max(beta - 1, from.first.beta);
+                 b <= std::min(beta + 1, from.first.end_beta - 1); ++b)
+                add_words(wide_.data() + (b - from.first.beta) * width + (alpha - to.first.alpha) * lines,
+                          lines, out);
+            std::uint64_t some = 0;
+            for (int k = 0; k < lines; ++k) some |= out[k];
+            if (some == 0) continue;
+            const std::uint64_t *apart = apart_from(c, touching) + box.beta;
+            for (int k = 0; k < lines; ++k) {
+                out[k] &= apart[k] & left_out & sides_[1].free(box.beta + k, step);
+                any |= out[k] != 0;
+            }
+        }
+    return any;
+}
+
+bool PairFlood::run(int steps, const Touching &touching) {
+    if (!lay_out_within(steps)) return false;
+    apart_.clear();
+    apart_at_.assign(FloodSide::most_alphas * sides_[0].betas(), -1);
+    const Layer &last = layers_[steps];
+    const Cell p = sides_[0].goal(), q = sides_[1].goal();
+    if (!sides_[0].free(p, steps) || !sides_[1].free(q, steps)) return false;
+    words_[static_cast<int>(last.begin)] = std::uint64_t{1} << (q.alpha - sides_[1].first_alpha());
+    for (int step = steps - 1; step >= 0; --step)
+        if (!step_back(step, touching)) return false;
+    return holds(0, sides_[0].start(), sides_[1].start());
+}
+
+bool PairFlood::holds(int step, Cell first, Cell second) const {
+    const Layer &layer = layers_[step];
+    if (!layer.first.holds(first) || !layer.second.holds(second)) return false;
+    const std::int64_t at =
+        layer.begin + layer.first.place(first) * layer.second.lines() + second.beta - layer.second.beta;
+    return (words_[static_cast<int>(at)] >> (second.alpha - sides_[1].first_alpha()) & 1) != 0;
+}
+
+int PairFlood::rest_from(int which) const {
+    const FloodSide &side = sides_[which];
+    int step = layers_.size() - 1;
+    while (step > 0 && side.free(side.goal(), step - 1)) --step;
+    return step;
+}
+
+} // namespace fl::planning

@@ -1,0 +1,74 @@
+"""LAMOST's coordinators over TCP: packets one after the other on one connection. [A] Nothing is public."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+
+from fiberloom.bus.links import Link
+from fiberloom.drive.kept_connection import KeptConnection
+from fiberloom.drive.lamost.packets import RadioReader
+from fiberloom.errors import InputError
+
+RADIO_PORT = 4900
+"""[A]."""
+
+
+def radio_address(text: str) -> tuple[str, int]:
+    """Host and port of HOST or HOST:PORT; InputError for anything else."""
+    host, _, port = text.partition(":")
+    if not host or (port and not (port.isdigit() and 0 < int(port) < 65536)):
+        raise InputError(f"radio '{text}': expected HOST or HOST:PORT with a port 1 to 65535")
+    return host, int(port) if port else RADIO_PORT
+
+
+class TcpRadio:
+    """Implements `fiberloom.drive.lamost.radio.Radio`, in real time or in that of a faster twin."""
+
+    def __init__(self, host: str, port: int = RADIO_PORT, speed: float = 1.0) -> None:
+        """`host` and `port` of what speaks to the coordinators; `speed`: its seconds in one of ours."""
+        self._speed, self._reader = speed, RadioReader()
+        self._heard: asyncio.Queue[bytes] = asyncio.Queue()
+        self._connection = KeptConnection(host, port, self._take)
+
+    def _take(self, data: bytes) -> None:
+        for packet in self._reader.feed(data):
+            self._heard.put_nowait(packet)
+
+    async def open(self) -> None:
+        """Connects. InputError where nothing answers."""
+        if not await self._connection.connect():
+            link = self._connection.link
+            raise InputError(
+                f"radio {link.name}: no connection ({link.reason}); look at address, power and network"
+            )
+        self._connection.keep()
+
+    @property
+    def links(self) -> Sequence[Link]:
+        """The one connection."""
+        return [self._connection.link]
+
+    @property
+    def time_s(self) -> float:
+        """Monotonic."""
+        return time.monotonic() * self._speed
+
+    async def send(self, packets: Sequence[bytes]) -> None:
+        """Packets, in order; lost where there is no connection."""
+        await self._connection.send(b"".join(packets))
+
+    async def receive(self, timeout_s: float) -> list[bytes]:
+        """What was heard; waits up to `timeout_s` of their time for anything."""
+        try:
+            found = [await asyncio.wait_for(self._heard.get(), max(timeout_s, 0.0) / self._speed)]
+        except TimeoutError:
+            return []
+        while not self._heard.empty():
+            found.append(self._heard.get_nowait())
+        return found
+
+    async def close(self) -> None:
+        """Lets go. Closing twice does no harm."""
+        await self._connection.close()

@@ -1,0 +1,1 @@
+"""Arrays outside of this process by the protocol of their motors."""

@@ -1,0 +1,64 @@
+"""LAMOST over TCP: packets of many units on one connection, observed with a noisy camera."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+import fiberloom as fl
+from fiberloom.connect import open_hardware
+from fiberloom.drive.lamost import RadioPacket, RadioReader, TcpRadio, encoded, radio_address
+from fiberloom.errors import InputError
+from fiberloom.targets.generate import random_targets
+from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, observed
+
+N = 7
+PLANE = fl.FocalPlane.of("lamost", seed=SEED, n=N)
+
+
+def test_a_whole_field_is_observed_over_tcp(tmp_path):
+    over_tcp = observed(PLANE, tmp_path)
+    seen, server = over_tcp.seen, over_tcp.server
+    assigned = seen.assignment.target >= 0
+    assert over_tcp.named == {}
+    assert len(seen.summary()["moves"]) == 2
+    assert over_tcp.off_um[assigned].max() < 40.0
+    field = fl.Field.twin(PLANE, seed=SEED, camera="noise")
+    within = field.run.observe(random_targets(PLANE, 3 * N, seed=1), out=tmp_path / "within")
+    blind = [run.moves[0].measured_error_um[assigned] for run in (seen, within)]
+    np.testing.assert_allclose(*blind, atol=0.5)  # the same units, seen by the same draw of noise
+    assert server.report()["contacts"] == 0
+    assert server.report()["clients"] == 1
+
+
+def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
+    over_tcp = observed(PLANE, tmp_path, meanwhile=hang_up_in_mid_move)
+    assigned = over_tcp.seen.assignment.target >= 0
+    assert over_tcp.server.report()["clients"] == 2
+    assert over_tcp.named == {}
+    assert over_tcp.off_um[assigned].max() < 40.0
+
+
+def test_a_stream_is_cut_into_packets_whatever_is_between_them():
+    one, two = (encoded(RadioPacket(1, 4 * unit, b"\x04")) for unit in (1, 2))
+    reader = RadioReader()
+    assert reader.feed(one[:3]) == []
+    assert reader.feed(one[3:] + b"\xff\x00" + two) == [one, two]
+    damaged = bytes([one[0], one[1] ^ 1, *one[2:]])
+    assert two in reader.feed(damaged + two + two)
+
+
+def test_where_nothing_listens_it_says_where():
+    port = free_ports()
+    with pytest.raises(InputError, match=f"radio 127.0.0.1:{port}: no connection"):
+        asyncio.run(TcpRadio("127.0.0.1", port).open())
+    with pytest.raises(InputError, match="lamost are behind radio://HOST"):
+        open_hardware(PLANE, "cannet://127.0.0.1", None)
+
+
+@pytest.mark.parametrize("text", ["", ":4900", "host:0", "host:65536", "host:a"])
+def test_addresses(text):
+    with pytest.raises(InputError, match="with a port 1 to 65535"):
+        radio_address(text)
+    assert radio_address("host") == ("host", 4900)
+    assert radio_address("host:4800") == ("host", 4800)
