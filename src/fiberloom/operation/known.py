@@ -80,7 +80,7 @@ class Known:
             say(f"arms are taken as they were measured: {self.warmth.why_not}")
 
     async def leave_out(self, source: Source, say: Callable[[str], None]) -> None:
-        """Positioners that `source` does not count on get no targets: they stay at their stops.
+        """Positioners that `source` does not count on get no targets: they stay where they are.
 
         `say` is told what is being done.
         """
@@ -89,7 +89,7 @@ class Known:
         say("calibrating motors")
         self.doubtful, self.scatter = await source.doubtful(), source.scatter()
         if self.doubtful:
-            self.plane = left_out(self.plane, self.doubtful)
+            self.plane = left_out(self.plane, self.doubtful, source.standing_deg())
 
     def aims(self, targets: TargetList) -> TargetList:
         """The targets (N) as the frame of the camera has them, in mm: fibres are to be seen there."""

@@ -77,8 +77,11 @@ class Doubting(Protocol):
     """A `Source` that calibrates its motors before a field, and so knows some that will not arrive."""
 
     async def doubtful(self) -> dict[int, str]:
-        """By number why positioners cannot be counted on; they are at their stops. Calibrates where that was
-        not done."""
+        """By number why positioners cannot be counted on. Calibrates where that was not done."""
+        ...
+
+    def standing_deg(self) -> Floats:
+        """(N, 2) alpha and beta in deg where positioners stand after that."""
         ...
 
     def scatter(self) -> Floats | None:

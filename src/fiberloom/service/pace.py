@@ -93,6 +93,11 @@ class PacedSource:
         """As the one inside; empty where it knows of none."""
         return await self._inside.doubtful() if isinstance(self._inside, Doubting) else {}
 
+    def standing_deg(self) -> Floats:
+        """As the one inside."""
+        assert isinstance(self._inside, Doubting)
+        return self._inside.standing_deg()
+
     def scatter(self) -> Floats | None:
         """(N, 2), dimensionless: as the one inside; None where it knows none."""
         return self._inside.scatter() if isinstance(self._inside, Doubting) else None

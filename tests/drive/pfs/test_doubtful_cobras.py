@@ -11,11 +11,12 @@ from fiberloom.drive.pfs.calibration import (
     doubtful,
     left_out,
     most_scatter,
+    standing_deg,
 )
 from fiberloom.drive.pfs.calibration.maps import ODD_STEPS
 from fiberloom.drive.pfs.calibration.measure import STANDS
 from fiberloom.drive.piezo import MotorMaps
-from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin.cobras.source import CobraSource
 
@@ -41,11 +42,16 @@ def test_wild_motors_and_failed_ones_are_named_and_good_ones_are_not():
     assert why[ids[4]] == f"phi: {STANDS}"
 
 
-def test_those_are_offline_at_their_stops():
-    plane = left_out(PLANE, named())
+def test_those_are_offline_where_they_are_seen():
+    """At their stops but for one whose phi has stayed 120 deg out; the fibre of another is not seen."""
+    arms, low = CobraArms.of(PLANE), stops_deg(PLANE)[0]
+    at = np.zeros((5, 2))
+    at[1, 1] = 120.0
+    xy_mm = arms.xy_mm(at)
+    xy_mm[4] = np.nan
+    plane = left_out(PLANE, named(), standing_deg(PLANE, xy_mm))
     assert plane.offline.tolist() == [False, True, True, False, True]
-    low = stops_deg(plane)[0]
-    assert np.array_equal(plane.offline_position_deg[plane.offline], low[plane.offline])
+    assert (plane.offline_position_deg - low)[plane.offline] == pytest.approx(at[plane.offline], abs=0.01)
 
 
 @pytest.mark.parametrize("scatter", [0.3, 0.55, 0.8])

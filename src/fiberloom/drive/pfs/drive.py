@@ -58,7 +58,7 @@ class CobraSettings:
     motors: LearningSettings = field(default_factory=lambda: LearningSettings(most_steps=MOST_STEPS))
     rest_share: float = 0.5
     """[A] Of the requirement: one that is believed to be so near stays: a move brings it no nearer."""
-    stays_share: float = 0.8
+    stays_share: float = 0.6
     """[A] The same, of one that has stood for an image or more: a motor that is poor at short ways would give
     up a place that does."""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
 from fiberloom.drive.pfs import CobraDrive, FpgaClient
-from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras, doubtful
+from fiberloom.drive.pfs.calibration import CobraCalibration, calibrate_cobras, doubtful, standing_deg
 from fiberloom.drive.pfs.numbering import COBRAS
 from fiberloom.drive.piezo import MotorMaps, read_summary_maps
 from fiberloom.errors import InputError
@@ -125,6 +125,10 @@ class CobraSource:
         await self.open()
         return doubtful(self.calibrations[0], self.plane) if self.calibrations else {}
 
+    def standing_deg(self) -> Floats:
+        """(N, 2) alpha and beta in deg, by an image after the search of the stops; at the stops before."""
+        return standing_deg(self.plane, self._seen_at_stops_mm)
+
     def scatter(self) -> Floats | None:
         """(N, 2), dimensionless, of moves of theta and phi, as calibrated; None before."""
         return self.calibrations[0].motors.scatter.reshape(-1, 2) if self.calibrations else None
@@ -138,6 +142,11 @@ class CobraSource:
     def _calibration_contacts(self) -> list[Contact]:
         return []
 
+    @cached_property
+    def _seen_at_stops_mm(self) -> Floats:
+        """(N, 2) fibres after the calibration; NaN where not seen, and before."""
+        return np.full((len(self.plane), 2), np.nan)
+
     @property
     def calibration_contacts(self) -> int:
         """How often arms touched while motors were calibrated."""
@@ -149,6 +158,8 @@ class CobraSource:
         found = await calibrate_cobras(drive, self._noise_camera())
         self.calibrations.append(found)
         await drive.home()
+        image = self._noise_camera().measure(None)
+        self._seen_at_stops_mm = np.where(image.seen[:, None], image.xy_mm, np.nan)
         self._calibration_contacts.extend(self.array.touched)
         self.array.touched.clear()
         own = self.hardware.drive

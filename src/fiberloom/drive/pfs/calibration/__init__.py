@@ -1,6 +1,12 @@
 """Cobras (PFS): geometry, stops and motor maps from places that a camera sees."""
 
-from fiberloom.drive.pfs.calibration.doubtful import arriving, doubtful, left_out, most_scatter
+from fiberloom.drive.pfs.calibration.doubtful import (
+    arriving,
+    doubtful,
+    left_out,
+    most_scatter,
+    standing_deg,
+)
 from fiberloom.drive.pfs.calibration.maps import MapFit, Moves, fit_maps
 from fiberloom.drive.pfs.calibration.measure import (
     CobraCalibration,
@@ -26,4 +32,5 @@ __all__ = [
     "maps_at",
     "most_scatter",
     "pulses_for",
+    "standing_deg",
 ]

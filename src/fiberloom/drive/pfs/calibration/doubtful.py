@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from fiberloom.drive.pfs.calibration.maps import ODD_STEPS
 from fiberloom.drive.pfs.calibration.measure import STANDS, CobraCalibration
-from fiberloom.drive.piezo.cobras import stops_deg
+from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -29,6 +29,8 @@ REST_SHARE = 0.5
 LOG_STEP = 0.1
 """Of the walk's distances: halved, it changes shares by less than 0.1 %."""
 HALVINGS = 14
+NOT_AT_STOPS_MM = 0.1
+"""[A] A fibre farther from where it is at the stops is not there: nearer, it shows nothing of theta."""
 
 
 def arriving(scatter: float, reach_mm: float, within_um: float, moves: int) -> float:
@@ -91,10 +93,23 @@ def doubtful(found: CobraCalibration, plane: FocalPlane) -> dict[int, str]:
     return why
 
 
-def left_out(plane: FocalPlane, why: dict[int, str]) -> FocalPlane:
-    """The `plane` without the cobras of `why` (by number).
+def standing_deg(plane: FocalPlane, xy_mm: Floats) -> Floats:
+    """(N, 2) alpha and beta in deg where cobras stand after they have searched their stops.
 
-    They stay folded at their stops, which they have searched before a field.
+    `xy_mm` (N, 2) of their fibres in an image then, NaN where not seen. A motor that hardly moves has not
+    come to its stop, and its arm may still be out.
+    """
+    arms, at_stops = CobraArms.of(plane), np.zeros((len(plane), 2))
+    off_mm = np.hypot(*(xy_mm - arms.xy_mm(at_stops)).T)
+    seen = np.where(np.isfinite(xy_mm), xy_mm, arms.xy_mm(at_stops))
+    out = arms.angles_deg(seen, at_stops)
+    return stops_deg(plane)[0] + np.where((off_mm > NOT_AT_STOPS_MM)[:, None], out, at_stops)
+
+
+def left_out(plane: FocalPlane, why: dict[int, str], at_deg: Floats) -> FocalPlane:
+    """The `plane` without the cobras of `why` (by number), which stay where they are.
+
+    `at_deg` (N, 2): alpha and beta of all, as of `standing_deg`.
     """
     rows = plane.index_of(np.array(sorted(why), dtype=np.int64))
-    return plane.with_offline(sorted(why), stops_deg(plane)[0][rows])
+    return plane.with_offline(sorted(why), at_deg[rows])

@@ -87,8 +87,7 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     begun_s = time.process_time()
     drawn = generate(load_instrument(row.preset), seed, n_positioners=n_units)
     source = source_of(drawn, seed, row.camera)
-    doubted, scatter = _doubted(source)
-    plane = left_out(drawn, doubted) if doubted else drawn
+    plane, doubted, scatter = _counted_on(drawn, source)
     targets = random_targets(plane, TARGETS_PER_UNIT * len(plane), seed)
     kept, assignment = assign_relaxed(
         plane, targets, seed=seed, settings=AssignSettings(ways=way_rule(plane, scatter))
@@ -115,11 +114,13 @@ def observe(row: Row, seed: int, n_units: int | None) -> InstrumentRun:
     )
 
 
-def _doubted(source: AnySource) -> tuple[dict[int, str], Floats | None]:
-    """Units that a calibration does not count on, and the scatter (N, 2) of all; none where none is made."""
+def _counted_on(plane: FocalPlane, source: AnySource) -> tuple[FocalPlane, dict[int, str], Floats | None]:
+    """The plane without units that a calibration does not count on; these and why; scatter (N, 2) of all."""
     if not isinstance(source, Doubting):
-        return {}, None
-    return finish(source.doubtful()), source.scatter()
+        return plane, {}, None
+    doubted = finish(source.doubtful())
+    kept = left_out(plane, doubted, source.standing_deg()) if doubted else plane
+    return kept, doubted, source.scatter()
 
 
 class _FieldRun:
