@@ -65,7 +65,7 @@ class StarProfile:
         return density, self._mean(square, inside, outside)
 
     def mean_inside(self, square: Floats) -> Floats:
-        """E / (2 pi s^2) alone."""
+        """E / (2 pi s^2) alone, at s^2 = `square`, of any shape, in units of the width w (ratios)."""
         return self._mean(square, *self._inside(square))
 
     def _inside(self, square: Floats) -> tuple[Floats, Floats]:
@@ -129,7 +129,11 @@ def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: flo
 
 
 def light_share(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: float) -> Floats:
-    """The share alone: that of `light` to the bit, in half of the time; arguments (um) as there."""
+    """The share of `light` alone, to the bit, in half of the time.
+
+    `profile` of the star; `offset_um` and `fwhm_um`: its distance from the middle of the fibre and its FWHM,
+    um, of a common shape; `core_um`: diameter of the fibre's core, um. Returns shares of 0 to 1.
+    """
     r, a, _ = _in_widths(profile, offset_um, fwhm_um, core_um)
     return _share(r, a, profile.mean_inside(_square(r, a)))
 
