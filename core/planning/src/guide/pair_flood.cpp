@@ -11,7 +11,7 @@ namespace {
 constexpr int fewer_steps = 4; // by which there is less time, until there is room
 
 // out |= from, word by word.
-FL_CLONES void add_words(const std::uint64_t *from, int count, std::uint64_t *out) {
+FL_INLINE void add_words(const std::uint64_t *from, int count, std::uint64_t *out) {
     for (int k = 0; k < count; ++k) out[k] |= from[k];
 }
 
@@ -19,7 +19,7 @@ FL_CLONES void add_words(const std::uint64_t *from, int count, std::uint64_t *ou
 inline std::uint64_t with_beside(std::uint64_t word) { return word | word << 1 | word >> 1; }
 
 // Of all lines, those beside them included, to lines that may begin and end one earlier or later.
-FL_CLONES void spread_lines(const std::uint64_t *from, int from_first, int from_end, std::uint64_t *out,
+FL_INLINE void spread_lines(const std::uint64_t *from, int from_first, int from_end, std::uint64_t *out,
                             int first, int end) {
     for (int beta = first; beta < end; ++beta) {
         std::uint64_t word = 0;
@@ -102,7 +102,6 @@ std::int64_t PairFlood::lay_out(int steps) {
 bool PairFlood::lay_out_within(int steps) {
     latest_ = steps;
     std::int64_t words = lay_out(steps);
-    in_full_ = words <= most_words;
     while (words > most_words) {
         latest_ -= fewer_steps;
         words = lay_out(steps);
@@ -135,7 +134,7 @@ const std::uint64_t *PairFlood::apart_from(Cell first, const Touching &touching)
 }
 
 // From each cell of the first one by all moves of the second.
-void PairFlood::spread_second(const Layer &from, const Layer &to) {
+FL_CLONES void PairFlood::spread_second(const Layer &from, const Layer &to) {
     const int cells = from.first.width() * from.first.lines();
     const int lines = to.second.lines(), from_lines = from.second.lines();
     if (spread_.size() < cells * lines) spread_.resize(cells * lines);
@@ -145,7 +144,7 @@ void PairFlood::spread_second(const Layer &from, const Layer &to) {
 }
 
 // Then by all moves of alpha of the first one, line by line of its beta.
-void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
+FL_CLONES void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
     const int lines = to.second.lines(), rows = from.first.lines();
     wide_.assign(rows * to.first.width() * lines, 0);
     for (int row = 0; row < rows; ++row)
@@ -160,7 +159,7 @@ void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
 }
 
 // False if there are no cells left.
-bool PairFlood::step_back(int step, const Touching &touching) {
+FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
     const Layer &from = layers_[step + 1], &to = layers_[step];
     spread_second(from, to);
     spread_alpha(from, to);

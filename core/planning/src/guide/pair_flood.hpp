@@ -60,8 +60,6 @@ class PairFlood {
     // Whether both can get from their starts to their goals in so many steps. Where that would take too much
     // room, they have less time than their deadlines.
     bool run(int steps, const Touching &touching);
-    // Whether the last run left them all the time that they have.
-    bool in_full() const { return in_full_; }
     // Whether they can from these cells at this step.
     bool holds(int step, Cell first, Cell second) const;
     // From which step on the goal of one is free to the end.
@@ -99,8 +97,7 @@ class PairFlood {
     bool step_back(int step, const Touching &touching);
 
     FloodSide sides_[2];
-    int latest_ = 0; // neither has more time than this
-    bool in_full_ = true;
+    int latest_ = 0;     // neither has more time than this
     List<Layer> layers_; // of each step
     List<std::uint64_t> words_;
     List<std::uint64_t> spread_, wide_; // a step back: by moves of the second one; and by alpha of the first

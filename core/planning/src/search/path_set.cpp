@@ -281,14 +281,6 @@ bool PathSet::seek_pair(const List<PathIndex> &pair, int most_nodes, JointSearch
     return search.run(request);
 }
 
-bool PathSet::may_arrive(const List<PathIndex> &pair) {
-    for (MovingObstacles *none : {&joint_moving_[0], &joint_moving_[1]}) {
-        none->clear();
-        none->sort(steps_);
-    }
-    return flood(pair) || !flood_.in_full();
-}
-
 // What is likely to come, once a search without a guide has found nothing soon.
 void PathSet::guide(Request &request, Member &member) {
     const Robot &robot = *request.robot;

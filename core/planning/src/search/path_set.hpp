@@ -106,8 +106,6 @@ class PathSet {
     bool can_flood(const List<PathIndex> &pair) const;
     // Two at once, by such a flood; no others are met. False if there is no way.
     bool seek_pair(const List<PathIndex> &pair, int most_nodes, JointSearch &search);
-    // Whether two could be in time if there were no others, by a flood.
-    bool may_arrive(const List<PathIndex> &pair);
     void set_path(PathIndex i, const List<Cell> &path);
     // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
     bool retrace(PathIndex i, int first, const List<SweptArm> &swept);

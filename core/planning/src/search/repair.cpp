@@ -157,7 +157,7 @@ bool Repair::rounds(int most) {
     std::int64_t since = expansions();
     int in_vain = 0; // repairs
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
-        if (in_vain++ > most_repairs_in_vain() || hopeless_) break;
+        if (in_vain++ > most_repairs_in_vain()) break;
         if (enough() && k >= last_rounds) break;
         const auto all = pairs();
         if (all.empty()) return true;
@@ -394,7 +394,6 @@ void Repair::joint_round(Pair pair) {
     const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
                                 : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
     joint_left_ -= by_flood ? nodes_of_a_flood : joint_.nodes();
-    if (by_flood && !found && last_steps_ == 0) hopeless_ = hopeless_ || !paths_.may_arrive(joint);
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);
     const List<PathIndex> others = drawn_in(joint, group);
@@ -466,7 +465,6 @@ bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
     bool done = paths_.seek(last, {}, any_cost, {}, search_);
     if (done) {
         paths_.count_conflicts(last);
-        hopeless_ = false;
         done = rounds(static_cast<int>(effort_ * most_repairs));
     }
     paths_.end_changes(done);

@@ -86,8 +86,7 @@ class Repair {
     struct Attempts {
         int all = 0, with_repairs = 0, in_the_end = 0;
     } attempts_;
-    int joint_left_ = 0;    // nodes that joint searches may still look at
-    bool hopeless_ = false; // two that conflict could not be in time even without all others
+    int joint_left_ = 0; // nodes that joint searches may still look at
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
 };
