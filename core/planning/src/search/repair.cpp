@@ -16,7 +16,8 @@ constexpr int least_affordable = 4; // steps in conflict
 // as many as the second one of two. All of a round together take about half a second at
 // most, and as much when paths are hurried.
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
-constexpr int flood_nodes = 16000, nodes_of_a_flood = 8000;
+constexpr int flood_nodes = 16000;     // of a search that keeps to a flood ...
+constexpr int nodes_of_a_flood = 8000; // ... which takes as long as one of so many
 constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
