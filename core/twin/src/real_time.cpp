@@ -119,7 +119,8 @@ uint64_t RealTime::idle_ticks(uint64_t ticks) const {
 void RealTime::post(const std::vector<QueuedFrame> &frames) {
     {
         const std::lock_guard lock(mutex_);
-        const uint64_t next = ticks_begun();
+        // not the tick that begins next: so there is time to hand out what 500 positioners hear at once
+        const uint64_t next = ticks_begun() + 1;
         for (QueuedFrame queued : frames) {
             queued.tick = std::max(queued.tick, next);
             inbox_.push_back({queued, posted_++});
