@@ -50,7 +50,9 @@ class Served:
             return json.load(answer)
 
     def ready(self) -> bool:
-        """A command could begin."""
+        """A command could begin. SystemExit where the service has ended."""
+        if self.process.poll() is not None:
+            raise SystemExit(f"the service has ended with exit code {self.process.returncode}")
         try:
             return all(self.ask("/readyz").values()) and self.ask("/api/v1/state")["running"] is None
         except OSError:
@@ -84,7 +86,7 @@ def until(condition: Any) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > end_s:
-            raise SystemExit("it does not come: see serve.log of the service")
+            raise SystemExit(f"it has not come within {PATIENCE_S:.0f} s")
         time.sleep(0.2)
 
 

@@ -79,7 +79,7 @@ class RealTime {
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
     double tick_now() const;
-    // As of 20 ms ago, or as the twin was held the last time.
+    // As of up to 20 ms ago, 70 ms while every positioner rests; and as the twin was held, within hold().
     Pace pace() const;
     // Ends the thread; the clock of the twin stops.
     void stop();
