@@ -22,7 +22,7 @@ LateWatch::Usage LateWatch::Usage::now() {
 }
 
 void LateWatch::resumed(bool held) {
-    ready_ = Clock::now();
+    ready_ = since_ = Clock::now();
     used_ = Usage::now();
     held_ = held;
 }
@@ -31,18 +31,20 @@ LateWatch::Found LateWatch::late(Clock::time_point due, Clock::time_point end, C
     // who goes on without a sleep works on what a late tick has left; if that takes too long too, it would be
     // late anyway
     const bool first = ready_ > last_end_ || last_end_ <= due || end - begun_ > allowed;
-    if (first) last_ = cause_of(std::max(due, std::min(last_end_, begun_)), end);
-    last_end_ = end;
+    const Usage used = Usage::now();
+    if (first) last_ = cause_of(std::max(due, std::min(last_end_, begun_)), end, used);
+    // what came between is told of this tick: those that follow without a sleep begin anew
+    since_ = last_end_ = end;
+    used_ = used;
     return {last_, first};
 }
 
-LateCause LateWatch::cause_of(Clock::time_point due, Clock::time_point end) const {
+LateCause LateWatch::cause_of(Clock::time_point due, Clock::time_point end, const Usage &used) const {
     const auto begun = std::max(begun_, due), ready = std::clamp(ready_, due, begun);
     const auto woken = ready - due, frames = begun - ready, computed = end - begun;
-    const Usage used = Usage::now();
-    // since ready_, which may be before the tick was due: the thread has not slept in between
+    // since_ may be before the tick was due: the thread has not slept in between
     const auto away =
-        std::max<Clock::duration>((end - ready_) - (used.cpu - used_.cpu), Clock::duration::zero());
+        std::max<Clock::duration>((end - since_) - (used.cpu - used_.cpu), Clock::duration::zero());
     const auto longest = std::max({woken, frames, computed});
     if (woken == longest) return held_ ? LateCause::held : LateCause::woken;
     if (2 * away > longest) return used.waits > used_.waits ? LateCause::blocked : LateCause::taken;

@@ -7,9 +7,15 @@ import pytest
 
 import fiberloom as fl
 from fiberloom.connect import open_hardware
-from fiberloom.drive.lamost import RadioPacket, RadioReader, TcpRadio, encoded, radio_address
+from fiberloom.drive.lamost import RadioPacket, RadioReader, TcpRadio, decoded, encoded, radio_address
+from fiberloom.drive.lamost.radio import packet_of
 from fiberloom.errors import InputError
 from fiberloom.targets.generate import random_targets
+from fiberloom.twin.faults.clock import FaultClock
+from fiberloom.twin.server.address import Address
+from fiberloom.twin.steppers.array import StepperArray
+from fiberloom.twin.steppers.megara import MegaraBus
+from fiberloom.twin.steppers.served import RadioServer
 from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, observed
 
 N = 7
@@ -37,6 +43,34 @@ def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
     assert over_tcp.server.report()["clients"] == 2
     assert over_tcp.named == {}
     assert over_tcp.off_um[assigned].max() < 40.0
+
+
+def test_half_a_packet_of_a_lost_connection_does_not_eat_the_next_one():
+    bus = MegaraBus(StepperArray(PLANE, seed=0))
+    server = RadioServer(bus, Address("127.0.0.1", free_ports()), FaultClock(bus, (), SEED))
+    one = int(PLANE.positioner_id[0])
+    long, short = (packet_of(4 * one, data) for data in (b"\x02\x00\x00\x00\x00", b"\x06"))
+    half = long[:3]
+    assert len(half) + len(short) < len(long)  # together still no whole packet
+
+    async def scenario():
+        await server.open()
+        try:
+            _, before = await asyncio.open_connection("127.0.0.1", server.address.port)
+            before.write(half)
+            while server.traffic["bytes_in"] < len(half):
+                await asyncio.sleep(0.01)
+            before.close()
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.address.port)
+            writer.write(short)
+            try:
+                return await asyncio.wait_for(reader.read(100), 5.0)
+            finally:
+                writer.close()
+        finally:
+            server.close()
+
+    assert decoded(asyncio.run(scenario())).identifier >> 2 == one
 
 
 def test_a_stream_is_cut_into_packets_whatever_is_between_them():

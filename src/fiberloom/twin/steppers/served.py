@@ -45,6 +45,9 @@ class _DoorServer:
         self._clock: asyncio.Task[None] | None = None
         self.traffic = {"clients": 0, "bytes_in": 0, "bytes_out": 0}
 
+    def forget(self, door: int) -> None:
+        """A host comes to a door: half a word of the one before it is none."""
+
     def hear(self, door: int, data: bytes) -> Words:
         """Bytes of a host at a door; what is said at once."""
         raise NotImplementedError
@@ -106,6 +109,7 @@ class _DoorServer:
 
     async def _client(self, door: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.hang_up(door)
+        self.forget(door)
         self._hosts[door] = writer
         self.traffic["clients"] += 1
         with contextlib.suppress(OSError, asyncio.CancelledError):  # cancelled where the loop ends
@@ -161,6 +165,10 @@ class RadioServer(_DoorServer):
     def __init__(self, bus: MegaraBus, address: Address, faults: FaultClock, speed: float = 1.0) -> None:
         super().__init__(bus, address, faults, speed)
         self.bus = bus
+        self._reader = RadioReader()
+
+    def forget(self, door: int) -> None:
+        """Half a packet."""
         self._reader = RadioReader()
 
     def hear(self, door: int, data: bytes) -> Words:

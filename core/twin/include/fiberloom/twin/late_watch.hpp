@@ -50,10 +50,12 @@ class LateWatch {
 
         static Usage now();
     };
-    LateCause cause_of(Clock::time_point due, Clock::time_point end) const;
+    LateCause cause_of(Clock::time_point due, Clock::time_point end, const Usage &used) const;
 
     Clock::time_point ready_{}, begun_{}, last_end_{};
-    Usage used_{}; // at ready_
+    // when it went on, or the end of the last late tick since then, and what it had used by then
+    Clock::time_point since_{};
+    Usage used_{};
     bool held_ = false;
     LateCause last_ = LateCause::computed;
 };
