@@ -70,8 +70,8 @@ class RealTime {
     RealTime(const RealTime &) = delete;
     RealTime &operator=(const RealTime &) = delete;
 
-    // Frames for the buses, none before its tick nor before the next but one; those of one tick in the order of
-    // their posting.
+    // Frames for the buses, none before its tick nor before the next but one; those of one tick in the order
+    // of their posting.
     void post(const std::vector<QueuedFrame> &frames);
     // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
     bool go_first();
