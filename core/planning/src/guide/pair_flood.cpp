@@ -29,16 +29,28 @@ FL_INLINE void spread_lines(const std::uint64_t *from, int from_first, int from_
     }
 }
 
+// Of those of alpha that are kept: around its way.
+int first_line(const Robot &robot) {
+    const int all = robot.alpha().size(), middle = (robot.start().alpha + robot.goal().alpha) / 2;
+    const int kept = std::min(all, FloodSide::most_alphas);
+    return std::clamp(middle - FloodSide::most_alphas / 2, 0, all - kept);
+}
+
 } // namespace
+
+bool FloodSide::holds(const Robot &robot) {
+    const int first = first_line(robot);
+    const auto kept = [&](Cell c) { return c.alpha >= first && c.alpha < first + most_alphas; };
+    return robot.alpha().size() <= most_alphas + 1 && kept(robot.start()) && kept(robot.goal());
+}
 
 void FloodSide::begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal) {
     start_ = robot.start(), goal_ = robot.goal();
     deadline_ = deadline;
     betas_ = robot.beta().size();
     blocks_ = BlockedCells::blocks_per_line(robot);
-    const int all = robot.alpha().size(), middle = (start_.alpha + goal_.alpha) / 2;
-    alphas_ = std::min(all, most_alphas);
-    first_alpha_ = std::clamp(middle - most_alphas / 2, 0, all - alphas_);
+    alphas_ = std::min(robot.alpha().size(), most_alphas);
+    first_alpha_ = first_line(robot);
     busy_.assign((steps + 1) * betas_, 0);
     still_free_.assign(betas_, 0);
     for (int beta = 0; beta < betas_; ++beta)

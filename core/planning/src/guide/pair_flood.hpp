@@ -21,6 +21,9 @@ class FloodSide {
   public:
     static constexpr int most_alphas = 64; // lines, a bit each; of more, those far from its way are left out
 
+    // Whether its ends are among the lines that are kept, and few others are left out.
+    static bool holds(const Robot &robot);
+
     // from_goal: steps past the bodies at rest, of each cell.
     void begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal);
     // Others are in the way of these cells at a step. at_end: they rest where they begin or end; starts and

@@ -254,9 +254,8 @@ void PathSet::begin_flood(int which, Member &member) {
 }
 
 bool PathSet::can_flood(const List<PathIndex> &pair) const {
-    return std::all_of(pair.begin(), pair.end(), [this](PathIndex i) {
-        return at(i).robot.alpha().size() <= FloodSide::most_alphas + 1;
-    });
+    return std::all_of(pair.begin(), pair.end(),
+                       [this](PathIndex i) { return FloodSide::holds(at(i).robot); });
 }
 
 // Of two: the request's moving obstacles are gathered.
