@@ -16,12 +16,19 @@ READ_BYTES = 1 << 16
 class KeptConnection:
     """One connection; what is sent while there is none is lost: a command that comes late is worse than none.
 
-    `host` and `port`: whom it calls; `take`: gets the bytes that come.
+    `host` and `port`: whom it calls; `take`: gets the bytes that come; `begin`: called at each new
+    connection, for half a message of the last one has no end.
     """
 
-    def __init__(self, host: str, port: int, take: Callable[[bytes], None]) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        take: Callable[[bytes], None],
+        begin: Callable[[], None] = lambda: None,
+    ) -> None:
         self.link = Link(f"{host}:{port}", up=False, since_s=time.monotonic())
-        self._address, self._take = (host, port), take
+        self._address, self._take, self._begin = (host, port), take, begin
         self._writer: asyncio.StreamWriter | None = None
         self._reader: asyncio.StreamReader | None = None
         self._task: asyncio.Task[None] | None = None
@@ -35,6 +42,7 @@ class KeptConnection:
         except (TimeoutError, OSError) as error:
             self.link.reason = str(error) or "timed out"
             return False
+        self._begin()
         self.link.comes_up(time.monotonic())
         return True
 

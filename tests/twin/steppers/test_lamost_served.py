@@ -73,6 +73,32 @@ def test_half_a_packet_of_a_lost_connection_does_not_eat_the_next_one():
     assert decoded(asyncio.run(scenario())).identifier >> 2 == one
 
 
+def test_half_an_answer_of_a_lost_connection_does_not_eat_the_next_one():
+    long, short = (packet_of(4, data) for data in (b"\x02\x00\x00\x00\x00", b"\x06"))
+    answers = [long[:3], short]
+
+    async def scenario():
+        async def serve(reader, writer):
+            writer.write(answers.pop(0))
+            await writer.drain()
+            if not answers:
+                await reader.read()  # until the other side ends
+            writer.close()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        radio = TcpRadio(*server.sockets[0].getsockname()[:2])
+        await radio.open()
+        try:
+            return await radio.receive(10.0)
+        finally:
+            await radio.close()
+            server.close()
+            await server.wait_closed()
+            await asyncio.sleep(0.05)
+
+    assert asyncio.run(scenario()) == [short]
+
+
 def test_a_stream_is_cut_into_packets_whatever_is_between_them():
     one, two = (encoded(RadioPacket(1, 4 * unit, b"\x04")) for unit in (1, 2))
     reader = RadioReader()

@@ -30,7 +30,10 @@ class TcpRadio:
         """`host` and `port` of what speaks to the coordinators; `speed`: its seconds in one of ours."""
         self._speed, self._reader = speed, RadioReader()
         self._heard: asyncio.Queue[bytes] = asyncio.Queue()
-        self._connection = KeptConnection(host, port, self._take)
+        self._connection = KeptConnection(host, port, self._take, self._forget)
+
+    def _forget(self) -> None:
+        self._reader = RadioReader()
 
     def _take(self, data: bytes) -> None:
         for packet in self._reader.feed(data):
