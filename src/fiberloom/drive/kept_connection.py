@@ -32,7 +32,7 @@ class KeptConnection:
             self._reader, self._writer = await asyncio.wait_for(
                 asyncio.open_connection(*self._address), CONNECT_S
             )
-        except (TimeoutError, OSError) as error:
+        except (TimeoutError, OSError, UnicodeError) as error:  # the last of a name that can be none
             self.link.reason = str(error) or "timed out"
             return False
         self.link.comes_up(time.monotonic())
