@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 from fiberloom.bus.cannet import TCP_PORT
 from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
+from fiberloom.drive.lamost.coordinators import RADIO_PORT
+from fiberloom.drive.moons.tcp import FIRST_PORT
+from fiberloom.drive.pfs.frames import TCP_PORT as FPGA_PORT
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.outside.steppers import OpenedLamost, OpenedMegara, OpenedMoons, OpenedSteppers
@@ -28,6 +31,8 @@ STEPPERS: dict[str, type[OpenedSteppers]] = {
     "moons": OpenedMoons,
 }
 """Arrays of steppers by their protocol."""
+PORTS = {CANNET: TCP_PORT, "fpga": FPGA_PORT, "gateways": FIRST_PORT, "radio": RADIO_PORT}
+"""TCP ports of the kinds of bus that have one, where an address names none."""
 
 
 def open_hardware(
@@ -146,10 +151,10 @@ def array_address(bus: str) -> str:
     if bus.startswith(TWIN):
         return f"{TWIN}{os.getpid()}"
     spec = BusSpec.parse(bus)
-    if spec.interface != CANNET:
+    if (port := PORTS.get(spec.interface)) is None:
         return f"{spec.interface}:{','.join(sorted(spec.channels))}"
-    hosts = (host.lower() if ":" in host else f"{host.lower()}:{TCP_PORT}" for host in spec.channels)
-    return f"{CANNET}://{','.join(sorted(hosts))}"
+    hosts = (host.lower() if ":" in host else f"{host.lower()}:{port}" for host in spec.channels)
+    return f"{spec.interface}:{'//' if spec.interface == CANNET else ''}{','.join(sorted(hosts))}"
 
 
 def is_shared(bus: str) -> bool:

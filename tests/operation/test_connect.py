@@ -20,6 +20,9 @@ PLANE = generate(load_instrument("sdssv"), 0, n_positioners=7)
         ("cannet://b:1,a:2", "cannet:a:2,B:1"),
         ("socketcan://can0", "socketcan:can0"),
         ("socketcan:can1,can0", "socketcan:can0,can1"),
+        ("gateways://Moons", "gateways://moons:4700"),
+        ("radio://lamost", "radio://LAMOST:4900"),
+        ("fpga://pfs", "fpga://pfs:4001"),
     ],
 )
 def test_one_array_has_one_name(one, other):

@@ -1,9 +1,13 @@
 """A night that is served: what is shown is what the store has, and what people ask of it, by HTTP."""
 
+import threading
+from types import SimpleNamespace
+
 import pytest
 from served import OURS, asking, idle, served_three_fields, wait_for
 
 from fiberloom.service.guard.tokens import TokenFile
+from fiberloom.service.night.served_night import ServedNight
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook
@@ -184,3 +188,19 @@ def test_a_viewer_sees_the_night_and_changes_nothing(done, array, folder, night,
             ("alarms/1/acknowledge", None),
         ):  # fmt: skip
             assert viewer.post(f"/api/v1/night/{path}", json=body).status_code == 403, path
+
+
+def test_people_outside_are_told_though_health_cannot_judge():
+    sent, over = [], threading.Event()
+
+    def judge():
+        over.set()
+        raise ValueError("a run that cannot be read")
+
+    news = threading.Event()
+    news.set()
+    array = SimpleNamespace(hub=SimpleNamespace(publish=lambda *_: None))
+    made = SimpleNamespace(_over=over, _news=news, array=array, view=dict, _judge=judge)
+    made._send = lambda: sent.append("alarm")
+    ServedNight._show(made)
+    assert sent == ["alarm"]

@@ -2,6 +2,7 @@
 
 import time
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from observed import BUS, PLANE, HeldArray, observed
 
 from fiberloom.errors import InputError
 from fiberloom.observatory.network import Endpoint, need
+from fiberloom.service.array import ServedArray
 from fiberloom.store.arrays import ArrayState
 from fiberloom.store.service.alarms import Severity
 from fiberloom.twin import Fault
@@ -161,6 +163,15 @@ def test_an_owner_that_is_gone_is_an_alarm_until_the_next_look(array, monkeypatc
     assert alarm.text.endswith("is gone; the array was moving")
     monkeypatch.undo()
     assert array.view().alarms == ()
+
+
+@pytest.mark.parametrize(("silent_s", "owner"), [(0, "`park` (process 1 on far)"), (100, "")])
+def test_an_owner_that_is_gone_keeps_no_button_of_the_page_from_use(silent_s, owner):
+    """The next command takes the array over."""
+    last = datetime.now(UTC) - timedelta(seconds=silent_s)
+    row = ArrayState("moving", last, "", "a", "park", "far", 1, "", last, "")
+    book = SimpleNamespace(address="b", state=lambda: row)
+    assert ServedArray.state(SimpleNamespace(book=book, _running=None))["owner"] == owner
 
 
 def test_a_locked_array_is_an_alarm_with_what_to_do(array):

@@ -15,14 +15,13 @@ import asyncio
 import contextlib
 import itertools
 import re
-import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from fiberloom.bus.identifier import positioner_of
-from fiberloom.bus.links import Link, retries_s
+from fiberloom.bus.links import Link, notice_silence, retries_s
 from fiberloom.bus.transport import Frame, TransportLost, take_all
 from fiberloom.errors import InputError
 
@@ -123,7 +122,7 @@ class _Gateway:
                 "address and power, and that no other client is connected"
             ) from None
         self.writer = writer
-        _notice_silence(writer)
+        notice_silence(writer)
         try:
             await self._start_ports()
         except OSError as error:
@@ -233,16 +232,6 @@ class _Gateway:
             await asyncio.wait_for(self.writer.wait_closed(), 1.0)
         except (TimeoutError, OSError, RuntimeError):
             pass  # gone already: closed is what was asked for
-
-
-def _notice_silence(writer: asyncio.StreamWriter) -> None:
-    """A gateway that vanished without a word is noticed within ten seconds, by what it does not confirm."""
-    sock = writer.get_extra_info("socket")
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    options = (("TCP_KEEPIDLE", 4), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3), ("TCP_USER_TIMEOUT", 5000))
-    for name, value in options:
-        if hasattr(socket, name):  # not everywhere
-            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class CanNetTransport:

@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from fiberloom.bus.links import Link, retries_s
+from fiberloom.bus.links import Link, notice_silence, retries_s
 
 CONNECT_S = 3.0
 READ_BYTES = 1 << 16
@@ -36,13 +36,13 @@ class KeptConnection:
     async def connect(self) -> bool:
         """Tries once, for `CONNECT_S` at most; whether it is connected. Else `link.reason` says why not."""
         try:
-            self._reader, self._writer = await asyncio.wait_for(
-                asyncio.open_connection(*self._address), CONNECT_S
-            )
-        except (TimeoutError, OSError) as error:
+            reader, writer = await asyncio.wait_for(asyncio.open_connection(*self._address), CONNECT_S)
+            notice_silence(writer)
+        except (TimeoutError, OSError, UnicodeError) as error:  # the last of a name that can be none
             self.link.reason = str(error) or "timed out"
             return False
         self._begin()
+        self._reader, self._writer = reader, writer
         self.link.comes_up(time.monotonic())
         return True
 

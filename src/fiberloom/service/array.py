@@ -282,9 +282,9 @@ class ServedArray:
         return [_exclusion_row(e) for e in self.book.exclusions()]
 
     def state(self) -> dict[str, Any]:
-        """State and owner of the array, from the store."""
+        """State and owner of the array, from the store; one that is gone owns nothing, and is an alarm."""
         now = self.book.state()
-        owner = "" if self._running is not None else now.owner
+        owner = now.owner if now.owned and self._running is None else ""
         return {"address": self.book.address, "state": str(state_of(now)), "text": now.text, "owner": owner}
 
     def ready(self) -> dict[str, bool]:
@@ -516,7 +516,8 @@ def _told_of_session(report: SessionReport) -> str:
     left = "; ".join(f"{p}: {why}" for p, why in list(report.left_out.items())[:20])
     folded = f"{len(report.folded)} of {report.n_positioners} folded"
     stages = "; ".join(report.touching + report.stages)
-    return "; ".join(filter(None, [folded, stages, left and f"left out: {left}"]))
+    lost = "; ".join(f"{p} {why}" for p, why in list(report.lost_steps.items())[:20])
+    return "; ".join(filter(None, [folded, stages, left and f"left out: {left}", lost]))
 
 
 def _exclusion_row(exclusion: Any) -> dict[str, Any]:

@@ -89,19 +89,6 @@ class PacedSource:
         """As the one inside, as quick as the machine is: `points`, `progress`."""
         return await self._inside.sweep(points, progress)
 
-    async def doubtful(self) -> dict[int, str]:
-        """As the one inside; empty where it knows of none."""
-        return await self._inside.doubtful() if isinstance(self._inside, Doubting) else {}
-
-    def standing_deg(self) -> Floats:
-        """As the one inside."""
-        assert isinstance(self._inside, Doubting)
-        return self._inside.standing_deg()
-
-    def scatter(self) -> Floats | None:
-        """(N, 2), dimensionless: as the one inside; None where it knows none."""
-        return self._inside.scatter() if isinstance(self._inside, Doubting) else None
-
     def maps_file(self, points: int) -> Path | None:
         """As the one inside."""
         return self._inside.maps_file(points)
@@ -122,3 +109,31 @@ class PacedSource:
     def true_plane(self) -> FocalPlane | None:
         """As of the one inside."""
         return self._inside.true_plane
+
+
+class PacedDoubting(PacedSource):
+    """The same of a twin that calibrates its motors before a field. Implements `Doubting`."""
+
+    def __init__(self, inside: Source, doubting: Doubting, speed: float) -> None:
+        """`inside` and `doubting` are one; `speed` as of any."""
+        super().__init__(inside, speed)
+        self._doubting = doubting
+
+    async def doubtful(self) -> dict[int, str]:
+        """As the one inside."""
+        return await self._doubting.doubtful()
+
+    def standing_deg(self) -> Floats:
+        """As the one inside."""
+        return self._doubting.standing_deg()
+
+    def scatter(self) -> Floats | None:
+        """(N, 2), dimensionless: as the one inside; None where it knows none."""
+        return self._doubting.scatter()
+
+
+def paced(inside: Source, speed: float) -> PacedSource:
+    """A source `inside` at the pace of an array, over `speed`."""
+    return (
+        PacedDoubting(inside, inside, speed) if isinstance(inside, Doubting) else PacedSource(inside, speed)
+    )

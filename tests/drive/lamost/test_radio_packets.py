@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fiberloom.drive.lamost import RadioPacket, decoded, encoded
+from fiberloom.blocking import finish
+from fiberloom.drive.lamost import RadioPacket, TcpRadio, decoded, encoded
 from fiberloom.errors import InputError
 
 
@@ -36,3 +37,9 @@ def test_a_wrong_byte_is_found(message, where, by):
 def test_what_does_not_fit_is_refused(packet):
     with pytest.raises(InputError, match="lamost: coordinator"):
         encoded(packet)
+
+
+@pytest.mark.parametrize("host", ["a..b", 70 * "x"])
+def test_a_name_that_can_be_no_host_is_refused_in_words(host):
+    with pytest.raises(InputError, match="no connection"):
+        finish(TcpRadio(host).open())

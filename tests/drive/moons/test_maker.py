@@ -1,5 +1,7 @@
 """Waveforms of a field: those that take too long are named, and are in no leg."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,30 @@ def test_one_that_cannot_run_its_waveform_stands_in_the_plan_of_the_others(monke
     assert stood == [[], [3]]
     assert refused == {3: "a reason"}
     assert [leg.rows.tolist() for leg in legs] == [[0, 1, 2, 4, 5, 6]]
+
+
+def test_one_that_a_plan_refuses_and_the_next_does_not_is_not_named(monkeypatch):
+    """In the first plan it has no way past one that then stands."""
+    plane, n = fl.FocalPlane.of("moons", seed=0, n=7), 7
+    here = np.tile(plane.instrument.positioner.park_deg, (n, 1))
+    goal = np.column_stack([np.linspace(-150.0, 150.0, n), np.full(n, 170.0)])
+    known = KnownUnits.nominal(AxisSteps.of(plane.instrument), n)
+    real, number, plans = maker._planned, int(plane.positioner_id[2]), []
+
+    def planned(wanted, moves):
+        plans.append(real(wanted, moves & (np.arange(n) != 2) if not plans else moves))
+        return plans[-1] if len(plans) > 1 else replace(plans[-1], refused={number: "no way"})
+
+    def unfit(instrument, steps, before, waves):
+        return {3: "a reason"} if len(plans) == 1 else {}
+
+    monkeypatch.setattr(maker, "_planned", planned)
+    monkeypatch.setattr(maker, "_unfit", unfit)
+    wanted = Wanted(plane, here, goal, np.zeros(n))
+    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(n, dtype=bool), np.zeros((n, 2)), known)
+    gone = [row for leg in legs for row in leg.rows.tolist()]
+    assert 2 in gone
+    assert sorted([*gone, *refused]) == list(range(n))
 
 
 def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():

@@ -352,6 +352,15 @@ def test_a_row_tells_which_units_were_left_out_before_the_field(monkeypatch, wri
     assert by_id["table1.cobra.max_um"].misses
 
 
+def test_units_of_several_fields_that_have_the_same_number_are_each_told():
+    runs = [
+        table01.InstrumentRun([np.array([1.0])], 2, 57, 0, 0, 9.0, 7.0, 0.5, [9.0], None, out)
+        for out in ({"9": "theta: wild"}, {}, {"12": "phi: slow", "9": "phi: slow"})
+    ]
+    told = table01._left_out(runs).partition(": ")[2]
+    assert told == ("1 units, 9 (theta: wild), and in another field 2 units, 9 (phi: slow); 12 (phi: slow)")
+
+
 def test_rows_of_table_1_are_made_in_processes_of_their_own_and_kept(tmp_path, monkeypatch):
     row = next(row for row in table01.TABLE_1 if row.key == "megara")
     rows = table01_kept.RowRuns(tmp_path)

@@ -8,7 +8,7 @@ import pytest
 import fiberloom as fl
 from fiberloom.bus.transport import Frame
 from fiberloom.connect import open_hardware
-from fiberloom.drive.megara.frames import MegaraCommand, MegaraFrame
+from fiberloom.drive.megara.frames import MegaraCommand, MegaraFrame, goal_frames
 from fiberloom.errors import InputError
 from fiberloom.metrology.camera import NoCamera
 from fiberloom.twin.steppers.array import StepperArray
@@ -60,6 +60,35 @@ def test_a_robot_hears_its_own_port_alone():
     every = MegaraFrame.of(0, 0, MegaraCommand.IDENTIFY)
     numbers = [number for port in (1, 2, 3, 4) for number, _ in units.hear(port, Frame(*every))]
     assert sorted(numbers) == PLANE.positioner_id.tolist()
+
+
+def touched(hear):
+    """Contacts of goals that nothing has planned, all started at once by frames that are heard one by one."""
+    plane = fl.FocalPlane.of("megara", seed=0, n=40)
+    bus = MegaraBus(StepperArray(plane, seed=0))
+    say, rng = hear(bus), np.random.default_rng(4)
+    for rotor in (2, 1):
+        say(MegaraFrame.of(0, rotor, MegaraCommand.HOME))
+        bus.run(100.0)
+    steps = bus.array.units.steps
+    ends_deg = np.column_stack([rng.uniform(-150.0, 150.0, 40), rng.uniform(-90.0, -20.0, 40)])
+    goals = np.rint((ends_deg - steps.home_deg) / steps.step_deg * steps.sign).astype(int)
+    for frame in goal_frames(
+        dict(zip(plane.positioner_id.tolist(), map(tuple, goals.tolist()), strict=True))
+    ):
+        say(frame)
+    say(MegaraFrame.of(0, 0, MegaraCommand.START))
+    return sorted((one.positioner_id, one.other or 0) for one in bus.array.touches())
+
+
+def test_those_that_start_at_once_touch_no_more_where_each_port_is_told_by_itself():
+    def over_ports(bus):
+        units = RobotUnits(bus)
+        return lambda frame: [units.hear(port, Frame(*frame)) for port in (1, 2, 3, 4)]
+
+    at_once = touched(lambda bus: lambda frame: bus.send([frame]))
+    assert at_once
+    assert touched(over_ports) == at_once
 
 
 def test_none_is_a_camera_of_blind_instruments_alone():

@@ -1,6 +1,7 @@
 """MOONS over TCP: a whole observation through three ports, and what is told where there is none."""
 
 import asyncio
+import socket
 
 import numpy as np
 import pytest
@@ -116,6 +117,8 @@ def test_a_connection_comes_back_by_itself():
         server = await asyncio.start_server(echo, "127.0.0.1", 0)
         connection = KeptConnection(*server.sockets[0].getsockname()[:2], heard.append)
         assert await connection.connect()
+        sock = connection._writer.get_extra_info("socket")
+        assert sock.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)  # a host that vanished is noticed
         connection.keep()
         await connection.send(b"end")
         while connection.link.up:

@@ -76,3 +76,34 @@ def test_a_unit_that_has_lost_steps_in_a_field_is_named_at_its_datum(name, tmp_p
     assert "lost_steps" not in as_table(again)
     off_deg = bus.array.truth() - array.plane.park_deg
     assert np.abs(off_deg).max() < 2.0
+
+
+@pytest.mark.parametrize("name", ["megara", "moons", "lamost"])
+def test_park_folds_all_that_answer_and_one_that_is_silent_is_not_folded(name, tmp_path):
+    """It stands where it was in the field, for nothing moves it."""
+    array = Array(name)
+    session, bus = session_of(array, tmp_path), array.twin.bus
+    asyncio.run(session.home())
+    asyncio.run(
+        Field(array.plane, array, 0).observe(random_targets(array.plane, 3 * N, seed=1), 0, out=tmp_path)
+    )
+    silent = int(array.plane.positioner_id[3])
+    bus.unheard = {silent}
+    report = asyncio.run(session.park())
+    assert silent not in report.folded
+    assert silent in report.left_out
+    assert not report.ok
+    off_deg = np.abs(bus.array.truth() - array.plane.park_deg).max(axis=1)
+    assert off_deg[3] > 5.0
+    assert len(report.folded) >= N // 2  # those beside it stay where they are, by name
+    assert off_deg[np.isin(array.plane.positioner_id, report.folded)].max() < 2.0
+
+
+def test_one_that_was_silent_from_the_begin_is_not_folded(tmp_path):
+    """Nothing tells where it is."""
+    array = Array("megara")
+    silent = int(array.plane.positioner_id[3])
+    array.twin.bus.unheard = {silent}
+    report = asyncio.run(session_of(array, tmp_path).park())
+    assert list(report.left_out) == [silent]
+    assert not report.ok

@@ -226,7 +226,7 @@ def served_field(options: ServeOptions) -> tuple[Field, ArrayBook, str]:
     """
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
-    from fiberloom.service.pace import PacedSource
+    from fiberloom.service.pace import paced
     from fiberloom.store import Store
     from fiberloom.store.place import STORE
 
@@ -242,7 +242,7 @@ def served_field(options: ServeOptions) -> tuple[Field, ArrayBook, str]:
     source: Any = open_hardware(plane, bus, camera or "image", seed=seed, **wrong)
     if bus.startswith(TWIN):
         record = options.database or str(options.out / STORE)
-        source, store = PacedSource(source, options.speed), store or record
+        source, store = paced(source, options.speed), store or record
     elif options.database:
         Store.open(options.database).close()  # one that cannot be opened is told at once
     return Field(plane, source, seed, calibration), array_book(bus, store), bus

@@ -41,10 +41,11 @@ class WaveformMaker:
     ) -> tuple[list[Leg], dict[int, str]]:
         """The planned ways as waveforms. `wanted`, `moves` (N,), `counts` (N, 2), `known`: as of `Maker`."""
         moves = moves.copy()
-        refused: dict[int, str] = {}
+        stand: dict[int, str] = {}
         for _ in range(PLANS):
             made = _planned(wanted, moves)
-            refused |= {int(wanted.obstacles.index_of(number)): why for number, why in made.refused.items()}
+            # of the plan before nothing is left: who was refused in it may have a way by now
+            refused = stand | {int(wanted.obstacles.index_of(n)): why for n, why in made.refused.items()}
             rows = np.array([k for k, robot in enumerate(made.robots) if robot.moves], dtype=np.int64)
             if not len(rows):
                 return [], refused
@@ -53,12 +54,12 @@ class WaveformMaker:
             if not unfit:
                 break
             # the others were planned as if these moved: they stand from now on
-            refused |= {int(rows[k]): why for k, why in unfit.items()}
+            stand |= {int(rows[k]): why for k, why in unfit.items()}
             moves[rows[list(unfit)]] = False
         fit = np.array([k not in unfit for k in range(len(rows))], dtype=bool)
         if not fit.any():
-            return [], refused
-        return [leg_of(rows[fit], counts[rows[fit]], waves[:MOST_SEGMENTS, fit])], refused
+            return [], refused | stand
+        return [leg_of(rows[fit], counts[rows[fit]], waves[:MOST_SEGMENTS, fit])], refused | stand
 
     def trial(self, rows: Ints, counts: Ints) -> Leg:
         """Alpha out. `rows` (m,), `counts` (N, 2): as of `Maker`."""

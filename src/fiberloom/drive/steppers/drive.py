@@ -175,8 +175,9 @@ class StepperDrive:
             )
 
     def near_datum(self) -> Flags:
-        """(N,) by their counts, within `NEAR_DEG` of both switches."""
-        return np.asarray((np.abs(self.counts) * self.known.steps.step_deg < NEAR_DEG).all(axis=1))
+        """(N,) by their counts, within `NEAR_DEG` of both switches; of the silent nothing is known."""
+        near = (np.abs(self.counts) * self.known.steps.step_deg < NEAR_DEG).all(axis=1)
+        return np.asarray(near & np.isin(self.plane.positioner_id, self.ids))
 
     def lost_steps(self) -> dict[int, str]:
         """What the latest searches have found to be lost, by number; each is told once."""

@@ -31,8 +31,8 @@ class PowerUp:
 async def powered_up(motion: FieldMotion) -> PowerUp:
     """What all positioners of the field of `motion` say that are on the bus."""
     plane = motion.plane
-    if not motion.drive.model.reports:
-        none = np.zeros(len(plane), dtype=bool)  # nothing counts there, so no count is lost
+    if not motion.has_client:
+        none = np.zeros(len(plane), dtype=bool)  # what has lost its count there, its drive sees to
         return PowerUp(none, none)
     rows = np.flatnonzero(np.isin(plane.positioner_id, motion.client.ids) & ~plane.offline)
     bits = await _bits(motion, rows)
@@ -62,7 +62,7 @@ async def _bits(motion: FieldMotion, rows: Ints) -> Ints:
 
 async def declare_seen_right(motion: FieldMotion) -> None:
     """One without a datum refuses to move: where the image has proved its report, it is told so."""
-    if not motion.drive.model.reports:
+    if not motion.has_client:
         return
     rows = np.flatnonzero(motion.state.mobile)
     await declare(motion, rows[(await unreferenced(motion, rows))[rows]])

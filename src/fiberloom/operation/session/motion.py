@@ -251,10 +251,15 @@ class SessionMotion(FieldMotion):
 
     @property
     def are_folded(self) -> Flags:
-        """(N,) which are where they are parked: steppers at their switches, wherever the layout has these."""
+        """(N,) which are where they are parked: steppers at their switches, wherever the layout has these.
+
+        One that may be anywhere is not.
+        """
         off_deg = np.abs(self.state.here_deg - self.plane.park_deg).max(axis=1)
         near = np.asarray(off_deg < FOLDED_DEG)
-        return near | self.drive.near_datum() if isinstance(self.drive, CountsSteps) else near
+        if isinstance(self.drive, CountsSteps):
+            near |= self.drive.near_datum()
+        return near & ~(self.state.somewhere & ~self.state.mobile)
 
     @property
     def collided(self) -> list[int]:

@@ -227,8 +227,8 @@ class ServedNight:
             self._news.clear()
             try:
                 self.array.hub.publish("night", self.view())
+                self._send()  # before what may take long, or fail
                 self._judge()
-                self._send()
             except InputError as error:
                 _log.error("the night cannot be shown: %s", one_line(error))
             except Exception:  # it is shown again with the next change

@@ -236,6 +236,8 @@ class StepperArray:
             return
         hit, begin_s = touching(self._bodies, self._pairs, self._way_deg()), self.time_s
         ids, n = self.plane.positioner_id, len(self.plane)
+        # of those that start at the same moment the last one tells: before it they were said to stand
+        self._touches = [one for one in self._touches if one.time_s < begin_s]
         for i, j in self._pairs[hit].tolist():
             self._touches.append(Touch(begin_s, int(ids[i]), int(ids[j]) if j < n else None))
 

@@ -148,12 +148,16 @@ def _by_moves(row: Row, runs: Sequence[InstrumentRun]) -> str:
 
 
 def _left_out(runs: Sequence[InstrumentRun]) -> str:
-    """Which units got no target, by their calibration before the field, and why; empty: none."""
-    why = {int(name): text for r in runs for name, text in r.left_out.items()}
-    if not why:
-        return ""
-    named = "; ".join(f"{name} ({text})" for name, text in sorted(why.items()))
-    return f"left out before the assignment, not counted on by their calibration: {len(why)} units, {named}"
+    """Which units got no target, by their calibration before the field, and why; empty: none.
+
+    Each run has drawn units of its own, which have the same numbers.
+    """
+    told = []
+    for run in runs:
+        named = (f"{name} ({run.left_out[name]})" for name in sorted(run.left_out, key=int))
+        told += [f"{len(run.left_out)} units, {'; '.join(named)}"] if run.left_out else []
+    how = "left out before the assignment, not counted on by their calibration"
+    return f"{how}: {', and in another field '.join(told)}" if told else ""
 
 
 def _within(error_um: Floats, requirement_um: float) -> float:
