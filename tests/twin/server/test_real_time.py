@@ -168,9 +168,11 @@ def test_a_clock_that_falls_far_behind_is_set_back():
         with real.held():
             time.sleep(1.1)
         time.sleep(0.02)
-        late = real.lateness()
         assert real.time_s < 0.9
-    assert late.given_up_s > 1.0
+        until_s = time.monotonic() + 5.0
+        while real.lateness().given_up_s < 1.0:  # told some hundredths of a second later
+            assert time.monotonic() < until_s
+            time.sleep(0.01)
 
 
 def test_frames_for_a_bus_are_heard_there_only():

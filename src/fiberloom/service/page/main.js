@@ -369,6 +369,7 @@ function theme(name) {
   $("theme").value = name;
   localStorage.setItem("theme", name);
   view.theme(name);
+  bars = -Infinity; // drawn anew with the next picture
   words();
 }
 
@@ -415,7 +416,7 @@ document.addEventListener("keydown", (event) => {
 
 // --- drawing
 
-let bars = 0;
+let bars = -Infinity;
 function frame(now) {
   const moving = Number.isFinite(model.time_s);
   if (moving || view.stale) view.draw();
