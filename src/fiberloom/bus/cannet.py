@@ -298,6 +298,11 @@ class CanNetTransport:
         known = self._route.get(positioner)
         return None if known is None else known[0].link
 
+    def line_of(self, positioner: int) -> str:
+        """The port, in words, at which a positioner has answered; "" before it did."""
+        known = self._route.get(positioner)
+        return "" if known is None else f"CAN port {known[1]} of {known[0].name}"
+
     def _wake(self) -> None:
         """The task that waits looks at the links."""
         self._received.put_nowait(Frame(-1))

@@ -111,6 +111,11 @@ class LeftOpen:
         find = getattr(self._transport, "link_of", None)
         return None if find is None else cast("Link | None", find(positioner))
 
+    def line_of(self, positioner: int) -> str:
+        """The port at which a positioner hangs, in words; "": not known."""
+        find = getattr(self._transport, "line_of", None)
+        return "" if find is None else str(find(positioner))
+
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         """Sends frames."""
         await self._transport.send(frames)

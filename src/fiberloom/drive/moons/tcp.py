@@ -9,7 +9,7 @@ from functools import partial
 
 from fiberloom.bus.links import Link
 from fiberloom.drive.kept_connection import KeptConnection
-from fiberloom.drive.moons.frames import GATEWAYS
+from fiberloom.drive.moons.frames import GATEWAYS, UnitPlace
 from fiberloom.errors import InputError
 
 FIRST_PORT = 4700
@@ -56,6 +56,10 @@ class TcpGateways:
     def links(self) -> Sequence[Link]:
         """One for each gateway."""
         return [connection.link for connection in self._connections]
+
+    def link_of(self, positioner: int) -> Link:
+        """That of the gateway of a unit."""
+        return self._connections[UnitPlace.of(positioner).gateway].link
 
     @property
     def time_s(self) -> float:
