@@ -200,6 +200,20 @@ class MegaraLink:
         """All rotors stop where they are."""
         await self._send([MegaraFrame.of(0, 0, MegaraCommand.STOP)])
 
+    async def stop_told(self, within_s: float) -> dict[int, bool]:
+        """As `stop`; by number of each robot that says so `within_s` whether it moves still."""
+        await self.stop()
+        await self._send([MegaraFrame.of(0, 0, MegaraCommand.STATE)])
+        moving: dict[int, bool] = {}
+        end_s = self.time_s + within_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            for reply in await self.transport.receive(left_s):
+                frame = MegaraFrame(reply.id, reply.data)
+                if _is(frame, MegaraCommand.STATE):
+                    moves = decode_state(frame).state is RotorState.MOVING
+                    moving[frame.robot] = moving.get(frame.robot, False) or moves
+        return moving
+
     async def close(self) -> None:
         """Closes the bus."""
         await self.transport.close()

@@ -311,6 +311,17 @@ class MoonsLink:
         await self._to_all(MoonsCommand.ABORT)
         await self._to_all(MoonsCommand.ENABLE_MOVE)
 
+    async def stop_told(self, within_s: float) -> dict[int, bool]:
+        """As `stop`; by number of each unit that says so `within_s` whether it moves still."""
+        await self.stop()
+        moving: dict[int, bool] = {}
+        end_s = self.time_s + within_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            for number, answer in await self._heard(left_s):
+                if answer.command in (MoonsCommand.ABORT, MoonsCommand.ENABLE_MOVE):
+                    moving[number] = answer.state in (MoonsState.MOVING, MoonsState.DATUM_SEARCH)
+        return moving
+
     async def close(self) -> None:
         """Lets go of the gateways."""
         await self.gateways.close()
