@@ -11,6 +11,7 @@ from fiberloom.bus.links import Link
 from fiberloom.drive.kept_connection import KeptConnection
 from fiberloom.drive.moons.frames import GATEWAYS, UnitPlace
 from fiberloom.errors import InputError
+from fiberloom.files import LAST_PORT, tcp_port
 
 FIRST_PORT = 4700
 """Of the first gateway; the others follow (ukatc/fpu_driver)."""
@@ -18,11 +19,11 @@ FIRST_PORT = 4700
 
 def gateway_address(text: str) -> tuple[str, int]:
     """Host and first port of HOST or HOST:PORT; InputError for anything else."""
-    host, _, port = text.partition(":")
-    last = 65535 - GATEWAYS + 1
-    if not host or (port and not (port.isdigit() and 0 < int(port) <= last)):
+    host, _, told = text.partition(":")
+    port = tcp_port(told, LAST_PORT - GATEWAYS + 1) if told else FIRST_PORT
+    if not host or port is None:
         raise InputError(f"gateways '{text}': expected HOST or HOST:PORT, the first of {GATEWAYS} ports")
-    return host, int(port) if port else FIRST_PORT
+    return host, port
 
 
 class TcpGateways:
