@@ -76,8 +76,11 @@ class Source(Protocol):
 class Doubting(Protocol):
     """A `Source` that calibrates its motors before a field, and so knows some that will not arrive."""
 
-    async def doubtful(self) -> dict[int, str]:
-        """By number why positioners cannot be counted on. Calibrates where that was not done."""
+    async def doubtful(self, moves: int | None = None) -> dict[int, str]:
+        """By number why positioners cannot be counted on. Calibrates where that was not done.
+
+        `moves` of the field, the blind one too; None: those of the instrument.
+        """
         ...
 
     def standing_deg(self) -> Floats:
