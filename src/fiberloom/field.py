@@ -466,6 +466,7 @@ class Field:
         place = Place.of(out)
         folder = prepare_folder(place.base)
         settings, learning = asked(corrections, options, self.seed, place.store)
+        moves = None if corrections is None else 1 + corrections
         if learning.adapt and not self.plane.instrument.drive.by_maps:
             learning = learning.kept_by(self.source, self.calibration_file)
         maps = await self.calibrate(self._points or POINTS)
@@ -476,13 +477,13 @@ class Field:
         )
         self._observer.begun_s = self.begun_s
         if self.book is None:
-            await known.ask(self.source, self.watcher.say)
+            await known.ask(self.source, self.watcher.say, moves)
             return await self._observer.observe(targets, settings, self.source.open)
         session = await beside(self._session, known.plane, known.maps, self.book)
         known.plane = session.plane
         async with session.owning(Deed.OBSERVE) as held:
             self._observer.motion = held.motion
-            await known.ask(self.source, self.watcher.say)
+            await known.ask(self.source, self.watcher.say, moves)
             return await self._observer.observe(targets, settings, self.source.open)
 
     async def survey(

@@ -24,6 +24,8 @@ TEXT_BYTES = 256 * MB
 """The largest table, list of targets or trajectories that is read. A field of 5000 positioners has 1 MB."""
 IMAGE_BYTES = 4096 * MB
 """The largest image. One of 150 megapixels in 64 bits has 1200 MB."""
+LAST_PORT = 65535
+"""Of TCP, as addresses name it."""
 
 _UNPACKERS: dict[str, Any] = {".gz": gzip.GzipFile, ".bz2": bz2.BZ2File, ".xz": lzma.LZMAFile}
 PACKED = tuple(_UNPACKERS)
@@ -152,3 +154,15 @@ def shown(value: object, most: int = 60) -> str:
     except (ValueError, RecursionError):  # a number of thousands of digits, a list in a list in a list
         return f"a {type(value).__name__} too large to show"
     return text if len(text) <= most else f"{text[:most]} ..."
+
+
+def tcp_port(text: str, last: int = LAST_PORT) -> int | None:
+    """The port that a text of ASCII digits names, 1 to `last`; None for any other text.
+
+    >>> tcp_port("4700"), tcp_port("0"), tcp_port("²")
+    (4700, None, None)
+    """
+    if not (text.isascii() and text.isdecimal() and len(text) <= len(str(LAST_PORT))):
+        return None
+    number = int(text)
+    return number if 0 < number <= last else None

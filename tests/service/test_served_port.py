@@ -90,7 +90,7 @@ def test_a_command_is_stopped_without_a_store(array, monkeypatch):
 
 def test_where_nothing_runs_here_whichever_process_moves_it_is_stopped(array, monkeypatch):
     class Stopped:
-        def __init__(self, book, connect, shared, who):
+        def __init__(self, book, halt, shared, who):
             self.text = f"{who} stopped {book.address}, shared: {shared}"
 
         async def stop(self):

@@ -24,6 +24,7 @@ from fiberloom.bus.identifier import positioner_of
 from fiberloom.bus.links import Link, notice_silence, retries_s
 from fiberloom.bus.transport import Frame, TransportLost, take_all
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 
 TCP_PORT = 19228
 BITRATES_KBIT = (5, 10, 20, 50, 62.5, 83.3, 100, 125, 500, 800, 1000)
@@ -116,7 +117,7 @@ class _Gateway:
             self.reader, writer = await asyncio.wait_for(
                 asyncio.open_connection(*self.address), self._setup.timeout_s
             )
-        except (TimeoutError, OSError) as error:
+        except (TimeoutError, OSError, UnicodeError) as error:  # the last of a name that can be none
             raise InputError(
                 f"CAN@net gateway {self.name}: no connection ({error or 'timed out'}); check "
                 "address and power, and that no other client is connected"
@@ -298,6 +299,11 @@ class CanNetTransport:
         known = self._route.get(positioner)
         return None if known is None else known[0].link
 
+    def line_of(self, positioner: int) -> str:
+        """The port, in words, at which a positioner has answered; "" before it did."""
+        known = self._route.get(positioner)
+        return "" if known is None else f"CAN port {known[1]} of {known[0].name}"
+
     def _wake(self) -> None:
         """The task that waits looks at the links."""
         self._received.put_nowait(Frame(-1))
@@ -349,6 +355,6 @@ class CanNetTransport:
 def _tcp_port(text: str, default: int, host: str) -> int:
     if not text:
         return default
-    if not text.isdigit() or not 0 < int(text) < 65536:
+    if (port := tcp_port(text)) is None:
         raise InputError(f"gateway '{host}': expected HOST or HOST:PORT with a port 1 to 65535")
-    return int(text)
+    return port

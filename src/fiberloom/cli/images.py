@@ -38,7 +38,7 @@ class CentroidOptions(JsonOptions):
     def hdu(self) -> int | str | None:
         """Number or name of the extension."""
         text = self.extension
-        return int(text) if text is not None and text.lstrip("-").isdigit() else text
+        return int(text) if text is not None and text.lstrip("-").isdecimal() else text
 
 
 def centroid(options: CentroidOptions) -> int:

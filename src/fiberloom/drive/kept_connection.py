@@ -32,6 +32,7 @@ class KeptConnection:
         self._writer: asyncio.StreamWriter | None = None
         self._reader: asyncio.StreamReader | None = None
         self._task: asyncio.Task[None] | None = None
+        self._closed = False
 
     async def connect(self) -> bool:
         """Tries once, for `CONNECT_S` at most; whether it is connected. Else `link.reason` says why not."""
@@ -51,12 +52,13 @@ class KeptConnection:
         self._task = asyncio.create_task(self._kept())
 
     async def _kept(self) -> None:
-        while True:
+        while not self._closed:
             if self.link.up:
                 self._ends(await self._read())
             for wait_s in retries_s():
                 await asyncio.sleep(wait_s)
-                if await self.connect():
+                # a refusal that comes as it is cancelled eats that (`asyncio.wait_for` of Python 3.11)
+                if self._closed or await self.connect() or self._closed:
                     break
 
     async def _read(self) -> str:
@@ -88,6 +90,7 @@ class KeptConnection:
 
     async def close(self) -> None:
         """Lets go for good. Closing twice does no harm."""
+        self._closed = True
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)

@@ -8,6 +8,7 @@ import socket
 from dataclasses import dataclass
 
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Endpoint:
         """
         host, _, port = text.partition(":")
         host = "127.0.0.1" if host == "localhost" else host
-        if port and not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        if port and tcp_port(port) is None:
             raise InputError(f"'{text}': expected HOST[:PORT], e.g. 127.0.0.1:{default_port}")
         try:
             address = ipaddress.IPv4Address(host)

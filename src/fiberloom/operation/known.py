@@ -59,13 +59,14 @@ class Known:
     scatter: Floats | None = None
     """(N, 2), dimensionless: rms by which moves of both motors miss, of their way; None: not known."""
 
-    async def ask(self, source: Source, say: Callable[[str], None]) -> None:
+    async def ask(self, source: Source, say: Callable[[str], None], moves: int | None = None) -> None:
         """What `source` tells before targets are assigned: how warm it is, and which motors not to count on.
 
-        `say` is told what is being done, and why something is not known.
+        `say` is told what is being done, and why something is not known; `moves` of the field, None: those of
+        the instrument.
         """
         await self.feel(source, say)
-        await self.leave_out(source, say)
+        await self.leave_out(source, say, moves)
 
     async def feel(self, source: Source, say: Callable[[str], None]) -> None:
         """Arms as long as the temperature of the positioners of `source` makes them.
@@ -79,15 +80,15 @@ class Known:
         if self.warmth.why_not:
             say(f"arms are taken as they were measured: {self.warmth.why_not}")
 
-    async def leave_out(self, source: Source, say: Callable[[str], None]) -> None:
+    async def leave_out(self, source: Source, say: Callable[[str], None], moves: int | None = None) -> None:
         """Positioners that `source` does not count on get no targets: they stay where they are.
 
-        `say` is told what is being done.
+        `say` is told what is being done; `moves` as of `ask`.
         """
         if not isinstance(source, Doubting):
             return
         say("calibrating motors")
-        self.doubtful, self.scatter = await source.doubtful(), source.scatter()
+        self.doubtful, self.scatter = await source.doubtful(moves), source.scatter()
         if self.doubtful:
             self.plane = left_out(self.plane, self.doubtful, source.standing_deg())
 

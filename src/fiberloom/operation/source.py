@@ -76,8 +76,11 @@ class Source(Protocol):
 class Doubting(Protocol):
     """A `Source` that calibrates its motors before a field, and so knows some that will not arrive."""
 
-    async def doubtful(self) -> dict[int, str]:
-        """By number why positioners cannot be counted on. Calibrates where that was not done."""
+    async def doubtful(self, moves: int | None = None) -> dict[int, str]:
+        """By number why positioners cannot be counted on. Calibrates where that was not done.
+
+        `moves` of the field, the blind one too; None: those of the instrument.
+        """
         ...
 
     def standing_deg(self) -> Floats:
@@ -110,6 +113,11 @@ class LeftOpen:
         """The connection to a positioner, where it is known."""
         find = getattr(self._transport, "link_of", None)
         return None if find is None else cast("Link | None", find(positioner))
+
+    def line_of(self, positioner: int) -> str:
+        """The port at which a positioner hangs, in words; "": not known."""
+        find = getattr(self._transport, "line_of", None)
+        return "" if find is None else str(find(positioner))
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         """Sends frames."""

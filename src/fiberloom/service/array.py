@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from fiberloom.blocking import finish
-from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import TransportLost
 from fiberloom.connect import TWIN, is_shared
 from fiberloom.errors import InputError, StoppedError, one_line
@@ -22,6 +21,7 @@ from fiberloom.field import Field
 from fiberloom.health.status import FibreStatus
 from fiberloom.metrology.sources.errors import CameraError
 from fiberloom.operation.motion import UnsafePlanError
+from fiberloom.operation.outside.stops import own_stop
 from fiberloom.operation.results import Observation
 from fiberloom.operation.safety.memory import few_heaps, give_back
 from fiberloom.operation.session.array_lock import state_of
@@ -235,8 +235,8 @@ class ServedArray:
         """Where this process moves nothing: stops whichever process does. What was done, in words."""
         if self.bus.startswith(TWIN):
             return "nothing moves"
-        opened = BusSpec.parse(self.bus).open
-        stopper = Stopper(self.book, opened, is_shared(self.bus), f"{author.name} by the service")
+        halt = own_stop(self.bus, self.field.plane.instrument.drive.protocol)
+        stopper = Stopper(self.book, halt, is_shared(self.bus), f"{author.name} by the service")
         return finish(stopper.stop()).text
 
     def record_stop(self, author: Author, text: str) -> None:

@@ -119,9 +119,9 @@ class PacedDoubting(PacedSource):
         super().__init__(inside, speed)
         self._doubting = doubting
 
-    async def doubtful(self) -> dict[int, str]:
-        """As the one inside."""
-        return await self._doubting.doubtful()
+    async def doubtful(self, moves: int | None = None) -> dict[int, str]:
+        """As the one inside, of so many `moves`."""
+        return await self._doubting.doubtful(moves)
 
     def standing_deg(self) -> Floats:
         """As the one inside."""

@@ -17,7 +17,10 @@ from fiberloom.drive.pfs.calibration.maps import ODD_STEPS
 from fiberloom.drive.pfs.calibration.measure import STANDS
 from fiberloom.drive.piezo import MotorMaps
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
+from fiberloom.errors import InputError
+from fiberloom.field import Field
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.targets.generate import random_targets
 from fiberloom.twin.cobras.source import CobraSource
 
 REACH_MM, WITHIN_UM = 4.75, 5.0
@@ -28,9 +31,9 @@ SCATTER = [0.1, 0.1, 0.3, 0.9, 0.1, 0.2, np.nan, 0.4, 0.1, 0.1]
 REASON = ["", "", "", "", ODD_STEPS, "", "fewer than 3 moves forward count", "", "", STANDS]
 
 
-def named():
-    motors = MapFit(MAPS, np.array(SCATTER), REASON)
-    return doubtful(CobraCalibration(NOTHING, NOTHING, NOTHING, NOTHING, motors, [""] * 5), PLANE)
+def named(moves=None, scatter=SCATTER):
+    motors = MapFit(MAPS, np.array(scatter), REASON)
+    return doubtful(CobraCalibration(NOTHING, NOTHING, NOTHING, NOTHING, motors, [""] * 5), PLANE, moves)
 
 
 def test_wild_motors_and_failed_ones_are_named_and_good_ones_are_not():
@@ -40,6 +43,33 @@ def test_wild_motors_and_failed_ones_are_named_and_good_ones_are_not():
     assert why[ids[1]].endswith("at most can arrive in 12 moves")
     assert why[ids[2]] == f"theta: {ODD_STEPS}"
     assert why[ids[4]] == f"phi: {STANDS}"
+
+
+def test_cobras_are_judged_by_the_moves_of_the_field():
+    """One that arrives in 12 moves does not in 8; in fewer than 8 it is not the motor that is to blame."""
+    one, most = PLANE.positioner_id[0], [most_scatter(REACH_MM, WITHIN_UM, moves) for moves in (8, 12)]
+    between = [np.mean(most), *SCATTER[1:]]
+    assert one not in named(scatter=between)
+    assert one not in named(12, between)
+    assert named(8, between)[one].endswith("at most can arrive in 8 moves")
+    assert named(2, between) == named(8, between)
+    assert one not in named(2)
+
+
+def test_an_observation_of_eight_moves_asks_for_these(tmp_path, monkeypatch):
+    asked = []
+
+    async def doubtful_of(self, moves=None):
+        asked.append(moves)
+        raise InputError("asked")
+
+    monkeypatch.setattr(CobraSource, "doubtful", doubtful_of)
+    field = Field(PLANE, CobraSource(PLANE, 0, "noise", calibrated=False), 0)
+    targets = random_targets(PLANE, 5, seed=0)
+    for corrections in (7, None):
+        with pytest.raises(InputError, match="asked"):
+            field.run.observe(targets, corrections, out=tmp_path)
+    assert asked == [8, None]
 
 
 def test_those_are_offline_where_they_are_seen():

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -134,3 +135,26 @@ def test_a_connection_comes_back_by_itself():
 
     asyncio.run(asyncio.wait_for(scenario(), 20.0))
     assert heard == [b"end", b"again"]
+
+
+def test_a_refusal_that_comes_while_it_is_closed_does_not_keep_it(monkeypatch):
+    """The refusal eats the cancelling; nothing is left that would call again."""
+
+    async def scenario():
+        connection = KeptConnection("127.0.0.1", 1, lambda data: None)
+        calls = []
+
+        async def refused():
+            calls.append(1)
+            with suppress(asyncio.CancelledError):
+                await asyncio.sleep(10.0)
+            return False
+
+        monkeypatch.setattr(connection, "connect", refused)
+        connection.keep()
+        while not calls:
+            await asyncio.sleep(0.01)
+        await asyncio.wait_for(connection.close(), 5.0)
+        return len(calls)
+
+    assert asyncio.run(scenario()) == 1

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from fiberloom.cli.array.options import ArrayOptions, BusOptions, excluded, operator
-from fiberloom.cli.options import JsonOptions
+from fiberloom.cli.options import JsonOptions, require_instrument
 from fiberloom.cli.terminal import waiting
 
 
@@ -35,6 +35,10 @@ class RecoverOptions(ArrayOptions, JsonOptions):
 @dataclass(frozen=True, kw_only=True)
 class StopOptions(BusOptions, JsonOptions):
     """Of `fiberloom stop`."""
+
+    instrument: Annotated[
+        str, typer.Option(help="Preset name, or a TOML file of your own: whose stop is sent on a CAN bus.")
+    ] = "sdssv"
 
 
 def park(options: ParkOptions) -> int:
@@ -94,15 +98,18 @@ def stop(options: StopOptions) -> int:
     """Stop an array, whichever process moves it; exit code 1 where it could not be stopped."""
     address = options.address
     from fiberloom.blocking import finish
-    from fiberloom.bus.spec import BusSpec
     from fiberloom.connect import TWIN, is_shared
     from fiberloom.errors import InputError
+    from fiberloom.instruments import load_instrument
+    from fiberloom.operation.outside.stops import own_stop
     from fiberloom.operation.session.stopping import Stopper
 
     if address.startswith(TWIN):
         raise InputError("--bus twin: is inside of the process that moves it: Ctrl-C stops it there")
     who = f"{operator()} on {socket.gethostname()}"
-    stopper = Stopper(options.book(), BusSpec.parse(address).open, is_shared(address), who)
+    require_instrument(options.instrument)
+    halt = own_stop(address, load_instrument(options.instrument).drive.protocol)
+    stopper = Stopper(options.book(), halt, is_shared(address), who)
     report = finish(stopper.stop())
     options.show({"stopped": report.stopped, "by": report.by, "text": report.text})
     return 0 if report.stopped else 1

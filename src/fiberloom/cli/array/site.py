@@ -77,7 +77,8 @@ class Site(SiteTable):
             "night": {name: moved[name] for name in ("bus", "camera", "calibration", "store", "exclude")},
             "doctor": moved | limits,
             "serve": {name: v for name, v in moved.items() if name not in ("arms", "exclude")},
-            **dict.fromkeys(("stop", "status"), array),
+            "stop": array | {"instrument": self.instrument},
+            "status": array,
             "exclude": dict.fromkeys(("add", "list", "clear"), array),
             "calibrate": dict.fromkeys(("transmission", "focal-plane"), moved)
             | {name: {"bus": self.bus} for name in BENCH},

@@ -10,6 +10,7 @@ from fiberloom.bus.links import Link
 from fiberloom.drive.kept_connection import KeptConnection
 from fiberloom.drive.lamost.packets import RadioReader
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 
 RADIO_PORT = 4900
 """[A]."""
@@ -17,10 +18,11 @@ RADIO_PORT = 4900
 
 def radio_address(text: str) -> tuple[str, int]:
     """Host and port of HOST or HOST:PORT; InputError for anything else."""
-    host, _, port = text.partition(":")
-    if not host or (port and not (port.isdigit() and 0 < int(port) < 65536)):
+    host, _, told = text.partition(":")
+    port = tcp_port(told) if told else RADIO_PORT
+    if not host or port is None:
         raise InputError(f"radio '{text}': expected HOST or HOST:PORT with a port 1 to 65535")
-    return host, int(port) if port else RADIO_PORT
+    return host, port
 
 
 class TcpRadio:

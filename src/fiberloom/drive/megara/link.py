@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from fiberloom.bus.links import LinkPatience
+from fiberloom.bus.links import LinkPatience, cut_off
 from fiberloom.bus.outcome import Outcome
 from fiberloom.bus.transport import Transport
 from fiberloom.drive.megara.frames import (
@@ -19,6 +19,15 @@ from fiberloom.drive.megara.frames import (
     goal_frames,
 )
 from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
+from fiberloom.drive.steppers.together import (
+    NotStarted,
+    Say,
+    down_before,
+    held_as,
+    line_of,
+    not_started,
+    unsaid,
+)
 from fiberloom.errors import InputError
 
 ANSWER_S = 0.5
@@ -60,11 +69,11 @@ class MegaraLink:
         ]
         return {robot: _told(numbers[robot], states[robot, 1], states[robot, 2]) for robot in there}
 
-    async def _states(self, robots: Sequence[int]) -> dict[tuple[int, int], ToldState]:
-        """Of both rotors of each robot that answers."""
+    async def _states(self, robots: Sequence[int], patient: bool = True) -> dict[tuple[int, int], ToldState]:
+        """Of both rotors of each robot that answers; `patient` as for any question."""
         return {
             (frame.robot, frame.rotor): decode_state(frame)
-            for frame in await self._asked(robots, MegaraCommand.STATE, 0, 2)
+            for frame in await self._asked(robots, MegaraCommand.STATE, 0, 2, patient)
         }
 
     async def _numbers(self, robots: Sequence[int], command: MegaraCommand, rotor: int) -> dict[int, int]:
@@ -72,16 +81,28 @@ class MegaraLink:
         return {frame.robot: decode_number(frame) for frame in told}
 
     async def _asked(
-        self, robots: Sequence[int], command: MegaraCommand, rotor: int, answers: int
+        self,
+        robots: Sequence[int],
+        command: MegaraCommand,
+        rotor: int,
+        answers: int,
+        patient: bool = True,
     ) -> list[MegaraFrame]:
-        """Answers to a question; who has not given so many is asked again."""
+        """Answers to a question; who has not given so many is asked again.
+
+        `patient`: a link that is down is waited for; else who is behind it is not asked: others move.
+        """
         found: dict[tuple[int, int], MegaraFrame] = {}
         left = list(robots)
         for _ in range(TRIES):
             if not left:
                 break
-            await self._patience.wait()
-            await self._send([MegaraFrame.of(robot, rotor, command) for robot in left])
+            if patient:
+                await self._patience.wait()
+            cut = set() if patient else cut_off(self.transport, left)
+            if cut.issuperset(left):
+                break
+            await self._send([MegaraFrame.of(robot, rotor, command) for robot in left if robot not in cut])
             end_s = self.time_s + ANSWER_S
             while left and (left_s := end_s - self.time_s) > 1e-9:
                 for reply in await self.transport.receive(left_s):
@@ -95,15 +116,55 @@ class MegaraLink:
     async def _send(self, frames: list[MegaraFrame]) -> None:
         await self.transport.send(frames)
 
-    async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
-        """One group of a programme: a message for each rotor, then the start for all."""
+    async def run(self, ids: Sequence[int], leg: Leg, say: Say = unsaid) -> dict[int, Outcome]:
+        """One group of a programme: a message for each rotor, then the start for all.
+
+        Nothing starts where a link to one of `ids` is down; where one has not started on the `leg`, or all
+        of a port are silent, all stop. `say` is told which.
+        """
         goals = {robot: (int(a), int(b)) for robot, (a, b) in zip(ids, leg.counts[-1], strict=True)}
         await self.stop()  # the start is for all: who still has a goal of a start that never came drops it
         await self._send(goal_frames(goals))
-        await self._send([MegaraFrame.of(0, 0, MegaraCommand.START)])
-        await self.sleep(leg.duration_s)
+        end_s = self.time_s + leg.duration_s
+        late = await self._start(goals, [n for n, way in zip(ids, _goes(leg), strict=True) if way], say)
+        if late is None:
+            await self.sleep(end_s - self.time_s)
+        else:
+            await self._hold()
         states = await self._states(list(ids))
-        return {robot: _ended(goals[robot], states, robot) for robot in ids}
+        return {robot: _ended(goals[robot], states, robot, late) for robot in ids}
+
+    async def _start(
+        self, goals: dict[int, tuple[int, int]], going: Sequence[int], say: Say
+    ) -> NotStarted | None:
+        """Starts all that have `goals`; None: those that are `going` do so. Else who does not."""
+        if down := down_before(self.transport, going):
+            say(f"{down}: no robot is started")
+            return NotStarted(set(), "")
+        await self._send([MegaraFrame.of(0, 0, MegaraCommand.START)])
+        late = await self._late(goals, going)
+        if not late.ids:
+            return None
+        say(f"{late.text}: all are stopped")
+        return late
+
+    async def _late(self, goals: dict[int, tuple[int, int]], going: Sequence[int]) -> NotStarted:
+        """Who of those that are `going` has not started: robots say so, or none of their port answers."""
+        states = await self._states(going, patient=False)
+        silent = {n for n in going if (n, ALPHA) not in states or (n, BETA) not in states}
+        stand = {
+            robot
+            for robot in set(going) - silent
+            if not any(states[robot, rotor].state is RotorState.MOVING for rotor in (ALPHA, BETA))
+            and not _there(goals[robot], states, robot)
+        }
+        return not_started(going, stand, silent, lambda number: line_of(self.transport, number))
+
+    async def _hold(self) -> None:
+        """Stops all, where they have not started together; also those that were out of reach."""
+        await self.stop()
+        await self._patience.wait()
+        await self.stop()
 
     async def home(self, ids: Sequence[int]) -> dict[int, Homed]:
         """Searches the switches of rotors 2, then of rotors 1; one that does not answer is missing."""
@@ -139,6 +200,20 @@ class MegaraLink:
         """All rotors stop where they are."""
         await self._send([MegaraFrame.of(0, 0, MegaraCommand.STOP)])
 
+    async def stop_told(self, within_s: float) -> dict[int, bool]:
+        """As `stop`; by number of each robot that says so `within_s` whether it moves still."""
+        await self.stop()
+        await self._send([MegaraFrame.of(0, 0, MegaraCommand.STATE)])
+        moving: dict[int, bool] = {}
+        end_s = self.time_s + within_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            for reply in await self.transport.receive(left_s):
+                frame = MegaraFrame(reply.id, reply.data)
+                if _is(frame, MegaraCommand.STATE):
+                    moves = decode_state(frame).state is RotorState.MOVING
+                    moving[frame.robot] = moving.get(frame.robot, False) or moves
+        return moving
+
     async def close(self) -> None:
         """Closes the bus."""
         await self.transport.close()
@@ -163,9 +238,24 @@ def _told(serial: int, first: ToldState, second: ToldState) -> UnitTold:
     )
 
 
-def _ended(goal: tuple[int, int], states: dict[tuple[int, int], ToldState], robot: int) -> Outcome:
-    told = [states.get((robot, rotor)) for rotor in (ALPHA, BETA)]
-    if any(one is None for one in told):
+def _goes(leg: Leg) -> list[bool]:
+    """(m,) whether each has a way in a leg."""
+    return [bool(way) for way in (leg.counts[-1] != leg.counts[0]).any(axis=1)]
+
+
+def _there(goal: tuple[int, int], states: dict[tuple[int, int], ToldState], robot: int) -> bool:
+    return all(states[robot, rotor].steps == steps for rotor, steps in zip((ALPHA, BETA), goal, strict=True))
+
+
+def _ended(
+    goal: tuple[int, int],
+    states: dict[tuple[int, int], ToldState],
+    robot: int,
+    late: NotStarted | None,
+) -> Outcome:
+    """`late`: those for which all were stopped; None: none was."""
+    if (robot, ALPHA) not in states or (robot, BETA) not in states:
         return Outcome.DISCONNECTED
-    there = all(one is not None and one.steps == g for one, g in zip(told, goal, strict=True))
-    return Outcome.DONE if there else Outcome.TIMED_OUT
+    if _there(goal, states, robot):
+        return Outcome.DONE
+    return Outcome.TIMED_OUT if late is None else held_as(robot, True, late)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fiberloom.bus.links import LinkPatience
+from fiberloom.bus.links import LinkPatience, cut_off, links_of
 from fiberloom.bus.outcome import Outcome
 from fiberloom.drive.moons.frames import (
     ALPHA_START,
@@ -29,6 +29,7 @@ from fiberloom.drive.moons.frames import (
 )
 from fiberloom.drive.moons.waveform import MOST_SEGMENTS, SEGMENT_S
 from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
+from fiberloom.drive.steppers.together import NotStarted, Say, down_before, held_as, not_started, unsaid
 from fiberloom.errors import InputError
 from fiberloom.typing import Ints
 
@@ -39,6 +40,9 @@ LONGEST_SEARCH_S = 120.0
 SETTLE_S = 0.05
 MIDDLE = -ALPHA_START, 0
 """Counts about which counters are read: all that arms can reach are within 16 bits of these."""
+LOADED = {MoonsState.READY_FORWARD, MoonsState.READY_REVERSE}
+"""Of a unit that holds a waveform and stands."""
+NONE_LATE = NotStarted(set(), "")
 SEARCHED = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
 FREE_TRIES, FREE_S = 6, 0.05
 """Tries (ukatc/fpu_driver), and s that the steps of one take."""
@@ -156,22 +160,68 @@ class MoonsLink:
             if number in serials
         }
 
-    async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
-        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold it."""
+    async def run(self, ids: Sequence[int], leg: Leg, say: Say = unsaid) -> dict[int, Outcome]:
+        """Loads a waveform into each, starts all and waits. Nothing starts where one does not hold it.
+
+        Nothing starts either where the connection to a gateway of `ids` is down; where one does not confirm
+        the start of the `leg`, all stop. `say` is told which.
+        """
         await self.stop()  # the start is for all: who still holds a waveform that never ran drops it
         ready = await self._load(ids, leg)
         missing = {n for n in ids if n not in ready or ready[n].error is not MoonsError.NONE}
         if missing:
             why = {n: Outcome.REFUSED if n in ready else Outcome.DISCONNECTED for n in missing}
             return {number: why.get(number, Outcome.STOPPED) for number in ids}
-        await self._to_all(MoonsCommand.EXECUTE)
-        await self.sleep(leg.duration_s + SETTLE_S)
         goals = {number: (int(a), int(b)) for number, (a, b) in zip(ids, leg.counts[-1], strict=True)}
-        told = await self._asked(ids, MoonsCommand.PING)
-        ended = {number: _ended(goals[number], told.get(number)) for number in ids}
+        end_s = self.time_s + leg.duration_s + SETTLE_S
+        late = await self._start(ids, say)
+        if late is None:
+            await self.sleep(end_s - self.time_s)
+        told = await self._asked(ids, MoonsCommand.PING) if late is None else await self._hold(ids)
+        ended = {number: _ended(goals[number], told.get(number), number, late) for number in ids}
         met = {number: told[number] for number, how in ended.items() if how is Outcome.COLLIDED}
         await self._free(met, dict(zip(ids, leg.counts.swapaxes(0, 1), strict=True)))
         return ended
+
+    async def _start(self, ids: Sequence[int], say: Say) -> NotStarted | None:
+        """Starts all of `ids`; None: they go. Else who does not, and the others are to be held."""
+        if down := down_before(self.gateways, ids):
+            say(f"gateway {down}: no unit is started")
+            return NONE_LATE
+        await self._to_all(MoonsCommand.EXECUTE)
+        late = await self._late(ids)
+        if not late.ids:
+            return None
+        say(f"{late.text}: all are stopped")
+        return late
+
+    async def _late(self, ids: Sequence[int]) -> NotStarted:
+        """Who has not started: units say so, or none behind their gateway answers."""
+        left, stand = set(ids), set[int]()
+        for _ in range(TRIES):
+            reached = left - cut_off(self.gateways, left)  # others move: no link is waited for
+            if not reached:
+                break
+            await self._send((number, MoonsCommand.PING, b"") for number in sorted(reached))
+            told = await self._until(reached, {MoonsCommand.PING}, ANSWER_S)
+            stand |= {number for number, answer in told.items() if answer.state in LOADED}
+            stand -= (gone := {number for number, answer in told.items() if answer.state not in LOADED})
+            left -= gone
+            if stand:
+                await self.sleep(SETTLE_S)
+        return not_started(ids, stand, left - stand, self._line)
+
+    def _line(self, number: int) -> str:
+        gateway = UnitPlace.of(number).gateway
+        links = links_of(self.gateways)
+        return f"gateway {gateway + 1}" + (f" ({links[gateway].name})" if links else "")
+
+    async def _hold(self, ids: Sequence[int]) -> dict[int, MoonsAnswer]:
+        """Stops all, where they have not started together; what they say then."""
+        await self.stop()
+        await self._patience.wait()
+        await self.stop()  # one that was out of reach may move still
+        return await self._asked(ids, MoonsCommand.PING)
 
     async def _free(self, met: dict[int, MoonsAnswer], ways: dict[int, Ints]) -> None:
         """Those that have `met` something go a few steps at a time until their interlocks agree.
@@ -199,10 +249,10 @@ class MoonsLink:
             for command in (MoonsCommand.PROTECT_BETA, MoonsCommand.PROTECT_ALPHA):
                 met = {n: one for n, one in (await self._asked(met, command)).items() if one.error}
 
-    async def reverse(self, ids: Sequence[int]) -> dict[int, Outcome]:
+    async def reverse(self, ids: Sequence[int], say: Say = unsaid) -> dict[int, Outcome]:
         """Units `ids` go their last waveform back, all at once: a field returns to where it began.
 
-        Nothing starts where one cannot.
+        Nothing starts where one cannot; gateways and `say` as in `run`.
         """
         begin = await self._asked(ids, MoonsCommand.PING)
         ready = await self._asked(ids, MoonsCommand.REVERSE)
@@ -210,7 +260,9 @@ class MoonsLink:
             await self.stop()
             missing = {n: Outcome.REFUSED if n in ready else Outcome.DISCONNECTED for n in ids}
             return {n: missing[n] if n not in ready or ready[n].error else Outcome.STOPPED for n in ids}
-        await self._to_all(MoonsCommand.EXECUTE)
+        if (late := await self._start(ids, say)) is not None:
+            held = await self._hold(ids)
+            return {number: held_as(number, number in held, late) for number in ids}
         await self._until(set(ids), {MoonsCommand.MOTION_FINISHED}, MOST_SEGMENTS * SEGMENT_S + SETTLE_S)
         told = await self._asked(begin, MoonsCommand.PING)
         return {
@@ -259,6 +311,17 @@ class MoonsLink:
         await self._to_all(MoonsCommand.ABORT)
         await self._to_all(MoonsCommand.ENABLE_MOVE)
 
+    async def stop_told(self, within_s: float) -> dict[int, bool]:
+        """As `stop`; by number of each unit that says so `within_s` whether it moves still."""
+        await self.stop()
+        moving: dict[int, bool] = {}
+        end_s = self.time_s + within_s
+        while (left_s := end_s - self.time_s) > 1e-9:
+            for number, answer in await self._heard(left_s):
+                if answer.command in (MoonsCommand.ABORT, MoonsCommand.ENABLE_MOVE):
+                    moving[number] = answer.state in (MoonsState.MOVING, MoonsState.DATUM_SEARCH)
+        return moving
+
     async def close(self) -> None:
         """Lets go of the gateways."""
         await self.gateways.close()
@@ -270,11 +333,17 @@ def _counts(answer: MoonsAnswer) -> tuple[int, int]:
     return unwrapped(shown[0] - ALPHA_START, MIDDLE[0]), unwrapped(shown[1], MIDDLE[1])
 
 
-def _ended(goal: tuple[int, int], answer: MoonsAnswer | None) -> Outcome:
+def _ended(
+    goal: tuple[int, int], answer: MoonsAnswer | None, number: int, late: NotStarted | None
+) -> Outcome:
+    """`late`: those for which all were stopped; None: none was."""
     if answer is None:
         return Outcome.DISCONNECTED
-    there = _counts(answer) == goal and answer.state is MoonsState.RESTING
-    return Outcome.DONE if there else Outcome.COLLIDED if answer.error else Outcome.TIMED_OUT
+    if _counts(answer) == goal and answer.state is MoonsState.RESTING:
+        return Outcome.DONE
+    if answer.error:
+        return Outcome.COLLIDED
+    return Outcome.TIMED_OUT if late is None else held_as(number, True, late)
 
 
 def _came_rising(here: tuple[int, int], way: Ints, axis: int) -> bool:

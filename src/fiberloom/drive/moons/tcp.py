@@ -9,8 +9,9 @@ from functools import partial
 
 from fiberloom.bus.links import Link
 from fiberloom.drive.kept_connection import KeptConnection
-from fiberloom.drive.moons.frames import GATEWAYS
+from fiberloom.drive.moons.frames import GATEWAYS, UnitPlace
 from fiberloom.errors import InputError
+from fiberloom.files import LAST_PORT, tcp_port
 
 FIRST_PORT = 4700
 """Of the first gateway; the others follow (ukatc/fpu_driver)."""
@@ -18,11 +19,11 @@ FIRST_PORT = 4700
 
 def gateway_address(text: str) -> tuple[str, int]:
     """Host and first port of HOST or HOST:PORT; InputError for anything else."""
-    host, _, port = text.partition(":")
-    last = 65535 - GATEWAYS + 1
-    if not host or (port and not (port.isdigit() and 0 < int(port) <= last)):
+    host, _, told = text.partition(":")
+    port = tcp_port(told, LAST_PORT - GATEWAYS + 1) if told else FIRST_PORT
+    if not host or port is None:
         raise InputError(f"gateways '{text}': expected HOST or HOST:PORT, the first of {GATEWAYS} ports")
-    return host, int(port) if port else FIRST_PORT
+    return host, port
 
 
 class TcpGateways:
@@ -56,6 +57,10 @@ class TcpGateways:
     def links(self) -> Sequence[Link]:
         """One for each gateway."""
         return [connection.link for connection in self._connections]
+
+    def link_of(self, positioner: int) -> Link:
+        """That of the gateway of a unit."""
+        return self._connections[UnitPlace.of(positioner).gateway].link
 
     @property
     def time_s(self) -> float:

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from fiberloom.drive.pfs.frames import TCP_PORT
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 
 
 class StreamLost(ConnectionError):
@@ -56,7 +57,7 @@ class TcpStream:
         """Connects within `timeout_s`."""
         try:
             return cls(*await asyncio.wait_for(asyncio.open_connection(host, port), timeout_s))
-        except (TimeoutError, OSError) as error:
+        except (TimeoutError, OSError, UnicodeError) as error:  # the last of a name that can be none
             raise StreamLost(f"FPGA {host}:{port}: no connection ({error or 'timed out'})") from None
 
     @property
@@ -96,10 +97,11 @@ class TcpStream:
 
 def tcp_address(text: str) -> tuple[str, int]:
     """Host and port of HOST or HOST:PORT."""
-    host, _, port = text.partition(":")
-    if port and not (port.isdigit() and 0 < int(port) < 65536):
+    host, _, told = text.partition(":")
+    port = tcp_port(told) if told else TCP_PORT
+    if not host or port is None:
         raise InputError(f"FPGA '{text}': expected HOST or HOST:PORT with a port 1 to 65535")
-    return host, int(port) if port else TCP_PORT
+    return host, port
 
 
 def over_tcp(host: str, port: int = TCP_PORT) -> Connect:

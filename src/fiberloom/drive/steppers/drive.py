@@ -330,7 +330,7 @@ class StepperDrive:
     async def run(self, programme: Programme, watch: MotionWatch, say: Callable[[str], None]) -> Results:
         """Leg by leg; one that fails is left out of the rest, and so is whatever its way was proven with.
 
-        `watch` and `say`: not used, no unit tells where it is on its way.
+        `watch`: not used, no unit tells where it is on its way; `say`: told why a leg did not start.
         """
         commands: Legs = programme.commands
         ids, ended = self.plane.positioner_id, dict.fromkeys(programme.moving, Outcome.DONE)
@@ -338,7 +338,7 @@ class StepperDrive:
             if any(how is not Outcome.DONE for how in ended.values()):
                 ended |= {n: Outcome.STOPPED for n in ids[leg.rows].tolist() if ended.get(n) is Outcome.DONE}
                 continue
-            told = await self.link.run(ids[leg.rows].tolist(), leg)
+            told = await self.link.run(ids[leg.rows].tolist(), leg, say)
             ended |= told
             gone = np.array([told.get(int(n)) is Outcome.DONE for n in ids[leg.rows]], dtype=bool)
             self._went(leg, gone)

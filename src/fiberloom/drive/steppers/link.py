@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from fiberloom.bus.outcome import Outcome
+from fiberloom.drive.steppers.together import Say, unsaid
 from fiberloom.typing import Floats, Ints
 
 
@@ -63,8 +64,11 @@ class StepperLink(Protocol):
         """What these say of themselves; one that does not answer is missing."""
         ...
 
-    async def run(self, ids: Sequence[int], leg: Leg) -> dict[int, Outcome]:
-        """Moves units `ids` (m,) along a leg and waits for its end; how each has ended."""
+    async def run(self, ids: Sequence[int], leg: Leg, say: Say = unsaid) -> dict[int, Outcome]:
+        """Moves units `ids` (m,) along a leg and waits for its end; how each has ended.
+
+        Where one of them cannot be started none is, or all stop: `say` is told why.
+        """
         ...
 
     async def home(self, ids: Sequence[int]) -> dict[int, Homed]:

@@ -19,6 +19,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.cameras import check_fiducials, image_camera_of, view_of
@@ -78,12 +79,12 @@ class CameraSpec:
     @property
     def host(self) -> tuple[str, int]:
         """Host and port number."""
-        host, colon, port = self.place.rpartition(":")
+        host, colon, told = self.place.rpartition(":")
         if not colon:
             return self.place, _PORTS[self.scheme]
-        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        if not host or (port := tcp_port(told)) is None:
             raise InputError(f"camera {self.scheme}://{self.place}: the port is a number, 1 to 65535")
-        return host, int(port)
+        return host, port
 
 
 def _parameters(text: str, scheme: str, query: str) -> tuple[dict[str, Any], dict[str, str]]:
@@ -143,7 +144,7 @@ def _alpaca(spec: CameraSpec, settings: ExposureSettings) -> RemoteSource:
     from fiberloom.metrology.sources.alpaca import AlpacaSource
 
     number = spec.name or "0"
-    if not number.isdigit():
+    if not number.isdecimal():
         raise InputError(f"camera alpaca://{spec.place}/{number}: the camera is a number, as in /0")
     return AlpacaSource(*spec.host, int(number), settings)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -160,6 +160,16 @@ class FasterBus:
     def links(self) -> Sequence[Link]:
         """Its connections."""
         return links_of(self._bus)
+
+    def link_of(self, positioner: int) -> Link | None:
+        """The connection to a positioner, where it is known."""
+        find = getattr(self._bus, "link_of", None)
+        return None if find is None else cast("Link | None", find(positioner))
+
+    def line_of(self, positioner: int) -> str:
+        """The port at which a positioner hangs, in words; "": not known."""
+        find = getattr(self._bus, "line_of", None)
+        return "" if find is None else str(find(positioner))
 
     async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
         """Sends `frames`."""

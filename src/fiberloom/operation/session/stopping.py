@@ -1,8 +1,9 @@
 """Stopping an array from another process than the one that moves it.
 
 1. The owner is asked through the store. It looks ten times a second, and stops by the connection that it has.
-2. Meanwhile, where the bus takes a second talker (socketcan), this process sends ABORT itself.
-3. Where the owner does not answer in time, or there is none, this process connects and sends ABORT. A gateway
+2. Meanwhile, where the bus takes a second talker (socketcan), this process sends the stop itself: that of the
+   instrument, ABORT of SDSS-V.
+3. Where the owner does not answer in time, or there is none, this process connects and sends it. A gateway
    with one connection (CAN@net) refuses it as long as the owner holds that; then, on the same machine, the
    owner is interrupted as by Ctrl-C. A second connection is not tried first: to open one restarts the ports
    of the gateway, which would cut the owner's frames.
@@ -13,12 +14,12 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from fiberloom.bus.client import Client
-from fiberloom.bus.transport import Transport, TransportLost
+from fiberloom.bus.transport import TransportLost
+from fiberloom.drive.pfs.streams import StreamLost
 from fiberloom.errors import InputError
+from fiberloom.operation.outside.stops import Halt
 from fiberloom.operation.session.array_lock import state_of
 from fiberloom.operation.session.states import SessionState
 from fiberloom.store.arrays import ArrayBook, ArrayState
@@ -48,8 +49,8 @@ class Stopper:
     """Stops one array."""
 
     book: ArrayBook
-    connect: Callable[[], Awaitable[Transport]]
-    """Opens a connection of its own."""
+    halt: Halt
+    """Stops it over a connection of its own."""
     shared: bool
     """Whether the bus takes a second one beside the owner's."""
     who: str
@@ -84,23 +85,15 @@ class Stopper:
 
     async def _own_connection(self, owned: bool = False) -> StopReport:
         try:
-            transport = await self.connect()
-        except InputError as error:
+            halted = await self.halt()
+        except (InputError, TransportLost, StreamLost) as error:
             return StopReport(False, "", str(error))
-        client = Client(transport)
-        try:
-            await client.discover()
-            results = await client.stop_all()
-        except TransportLost as error:
-            return StopReport(False, "", f"{error}")
-        finally:
-            await client.close()
-        at = len(results.ok_ids)
-        missing = f"; no answer from {', '.join(map(str, results.failed))}" if results.failed else ""
-        text = f"stopped by {self.who}: {at} positioners have answered{missing}"
+        text = f"stopped by {self.who}: {halted.text}"
+        if not halted.sent:
+            return StopReport(False, "", halted.text)
         if not owned:
             self._book_stopped(text)
-        return StopReport(bool(at) and not results.failed, "own connection", text)
+        return StopReport(halted.stopped, "own connection", text)
 
     def _book_stopped(self, text: str) -> None:
         """A locked array stays locked: a stop does not move arms apart."""

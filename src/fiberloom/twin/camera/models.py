@@ -111,7 +111,7 @@ def _optics(asked: dict[str, Any], geometry: CameraGeometry, radius_mm: float, w
             raise InputError(f"{where}.optics.{name}: belongs into [camera]")
     terms = asked.pop("distortion_mm", {})
     for key in terms:
-        if not str(key).isdigit() or int(key) >= zhao_burge.N_TERMS:
+        if not str(key).isdecimal() or int(key) >= zhao_burge.N_TERMS:
             raise InputError(
                 f"{where}.optics.distortion_mm.{key}: terms are numbered 0 to {zhao_burge.N_TERMS - 1}"
             )

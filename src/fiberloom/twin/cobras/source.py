@@ -120,10 +120,13 @@ class CobraSource:
             await self._calibrate()
         return self.hardware
 
-    async def doubtful(self) -> dict[int, str]:
-        """By number why cobras cannot be counted on, by their calibration; empty where there is none."""
+    async def doubtful(self, moves: int | None = None) -> dict[int, str]:
+        """By number why cobras cannot be counted on, by their calibration; empty where there is none.
+
+        `moves` of the field; None: those of the instrument.
+        """
         await self.open()
-        return doubtful(self.calibrations[0], self.plane) if self.calibrations else {}
+        return doubtful(self.calibrations[0], self.plane, moves) if self.calibrations else {}
 
     def standing_deg(self) -> Floats:
         """(N, 2) alpha and beta in deg, by an image after the search of the stops; at the stops before."""

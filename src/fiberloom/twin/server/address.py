@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fiberloom.errors import InputError
+from fiberloom.files import tcp_port
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ def _is_loopback(host: str) -> bool:
 
 def address_of(text: str, option: str = "--listen") -> Address:
     """HOST:PORT of an option."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65536:
+    host, _, told = text.rpartition(":")
+    if not host or (port := tcp_port(told)) is None:
         raise InputError(f"{option} {text}: write HOST:PORT with a port 1 to 65535")
-    return Address(host, int(port))
+    return Address(host, port)
 
 
 def addresses_of(text: str, devices: int) -> list[Address]:

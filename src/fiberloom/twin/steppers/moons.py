@@ -37,6 +37,10 @@ FREE_BETA_STEPS, FREE_ALPHA_STEPS = 10, 11
 """Of a command that frees an arm (ukatc/fpu_driver)."""
 
 
+READY = MoonsState.READY_FORWARD, MoonsState.READY_REVERSE
+"""Holds a waveform."""
+
+
 @dataclass
 class _Unit:
     """What a controller keeps."""
@@ -59,8 +63,9 @@ class MoonsBus(StepperBus):
         self._readers = [PacketReader() for _ in range(GATEWAYS)]
         self._due: list[tuple[float, int, MoonsCommand]] = []
         """When units say something unasked, and what."""
-        self._armed: list[int] = []
-        """Told to start: gateways are synchronised, so that all start together when time goes on."""
+        self._armed: dict[int, None] = {}
+        """Told to start: gateways are synchronised, so that all start together when time goes on. Such a
+        unit says that it moves."""
         self._alpha_at: list[tuple[float, list[int]]] = []
         """Searches of alpha, which follow those of beta."""
 
@@ -77,7 +82,7 @@ class MoonsBus(StepperBus):
                 if command is MoonsCommand.FIND_DATUM:
                     searching.append(address)
                 elif command is MoonsCommand.EXECUTE:
-                    self._armed.append(address)
+                    self._armed[address] = None
                 else:
                     self._search(searching)  # what comes after them finds them searching
                     searching = []
@@ -139,6 +144,7 @@ class MoonsBus(StepperBus):
                 waiting.remove(address)
                 self.homed[self.row_of[address]] = False
         for address in addresses:
+            self._armed.pop(address, None)
             if self.units[address].state is MoonsState.DATUM_SEARCH:
                 self.units[address].state = MoonsState.UNINITIALISED
 
@@ -155,6 +161,8 @@ class MoonsBus(StepperBus):
             return MoonsState.OBSTACLE
         if not self.homed[row].all() and unit.state is not MoonsState.DATUM_SEARCH:
             unit.state = MoonsState.UNINITIALISED
+        elif unit.state in READY and address in self._armed:
+            return MoonsState.MOVING
         elif unit.state is MoonsState.MOVING and not any(self.moving(row, axis) for axis in (0, 1)):
             unit.state = MoonsState.RESTING
         return unit.state
@@ -237,9 +245,8 @@ class MoonsBus(StepperBus):
 
     def _execute(self) -> None:
         """All that are told to, and hold a waveform, start."""
-        armed, self._armed = self._armed, []
-        ready = MoonsState.READY_FORWARD, MoonsState.READY_REVERSE
-        going = [a for a in dict.fromkeys(armed) if self._state(a) in ready]  # told twice, it starts once
+        armed, self._armed = self._armed, {}  # told twice, it starts once
+        going = [a for a in armed if self._state(a) in READY]
         if not going:
             return
         rows = np.array([self.row_of[a] for a in going])

@@ -24,6 +24,8 @@ SURE = 0.99
 """[A] A cobra arrives in so many fields, or it is not counted on."""
 BEFORE = 2
 """Moves that turn theta and open phi: they bring a fibre no nearer (the published via points are as many)."""
+FEWEST = 8
+"""As a file of a night has it. In fewer moves it is these that do not suffice, and not a motor."""
 REST_SHARE = 0.5
 """Of the requirement: a fibre that near stays (`CobraSettings.rest_share`)."""
 LOG_STEP = 0.1
@@ -72,13 +74,15 @@ def most_scatter(reach_mm: float, within_um: float, moves: int) -> float:
     return low
 
 
-def doubtful(found: CobraCalibration, plane: FocalPlane) -> dict[int, str]:
+def doubtful(found: CobraCalibration, plane: FocalPlane, moves: int | None = None) -> dict[int, str]:
     """Cobras, by number, that cannot be counted on to arrive in a field, and why.
 
-    `found` by the calibration of a `plane` of n cobras; moves and requirement are those of its instrument.
+    `found` by the calibration of a `plane` of n cobras; `moves` of the field, None: those of its instrument,
+    as is the requirement. Of fewer than `FEWEST` moves it is judged as of these.
     """
     operation = plane.instrument.operation
-    reach_mm, moves = float(np.max(plane.l_alpha_mm + plane.l_beta_mm)), 1 + operation.corrections_max
+    reach_mm = float(np.max(plane.l_alpha_mm + plane.l_beta_mm))
+    moves = 1 + operation.corrections_max if moves is None else max(moves, FEWEST)
     limit = most_scatter(reach_mm, operation.requirement_um, moves)
     why: dict[int, str] = {}
     for motor, (scatter, reason) in enumerate(

@@ -185,7 +185,7 @@ def _truth(form: _Form, key: str) -> bool:
 
 def _transaction(parameters: _Form) -> int:
     text = parameters.get("clienttransactionid", "0")
-    return int(text) if text.isdigit() and int(text) < 1 << 31 else 0
+    return int(text) if text.isdecimal() and int(text) < 1 << 31 else 0
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -205,7 +205,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_PUT(self) -> None:
         length = self.headers.get("Content-Length", "0")
-        if not length.isdigit() or int(length) > BODY_BYTES:
+        if not length.isdecimal() or int(length) > BODY_BYTES:
             self.close_connection = True
             self._send(413, "text/plain", b"too long")
             return
