@@ -133,7 +133,7 @@ class PacedDoubting(PacedSource):
 
 
 def paced(inside: Source, speed: float) -> PacedSource:
-    """A source `inside` at the pace of an array, over `speed`."""
+    """A source `inside` at the pace of an array; `speed`: virtual seconds in 1 s."""
     return (
         PacedDoubting(inside, inside, speed) if isinstance(inside, Doubting) else PacedSource(inside, speed)
     )

@@ -37,7 +37,10 @@ def with_spot():
         (lambda: match_spots(np.zeros((3, 3)), np.zeros((2, 2)), np.zeros((2, 2)), 1.0), r"spots \(n, 2\)"),
         (lambda: match_spots(np.zeros((3, 2)), np.zeros((1, 2)), np.zeros((2, 2)), 1.0), r"centres \(N, 2\)"),
         (lambda: Psf(fwhm_px=0.0), "psf: fwhm_px 0.0 must be above 0"),
-        (lambda: camera_model("hubble"), "camera 'hubble': known are workspace, close-up, desi, lamost, pfs, sdssv"),
+        (
+            lambda: camera_model("hubble"),
+            "camera 'hubble': known are workspace, close-up, desi, lamost, pfs, sdssv",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(call, words):
