@@ -127,3 +127,28 @@ def test_threads_share_few_heaps(tmp_path, asked, fewest, most):
     file = tmp_path / "malloc.xml"
     subprocess.run([sys.executable, "-c", HEAPS_OF_SIX_THREADS, file, *asked], check=True)
     assert fewest <= file.read_text().count("<heap nr=") <= most
+
+
+LARGE_BLOCK_FREED = """
+import sys
+from pathlib import Path
+import numpy as np
+from fiberloom.operation.safety.memory import few_heaps
+def resident():
+    return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
+if "few" in sys.argv:
+    few_heaps()
+np.ones(16 * 2**20, dtype=np.uint8)  # freed at once: by default blocks up to this size lie in the heap now
+block = np.ones(8 * 2**20, dtype=np.uint8)
+before = resident()
+del block
+print(before - resident())
+"""
+
+
+@pytest.mark.skipif(not GLIBC, reason=NO_GLIBC)
+@pytest.mark.parametrize(("asked", "given_back"), [((), False), (("few",), True)])
+def test_large_blocks_are_given_back_when_they_are_free(asked, given_back):
+    command = [sys.executable, "-c", LARGE_BLOCK_FREED, *asked]
+    freed = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    assert (freed > 0.9 * 8 * 2**20) == given_back

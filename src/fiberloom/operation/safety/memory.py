@@ -15,7 +15,12 @@ from typing import Any
 
 HEAPS = 2
 """At most, of a process that runs for hours."""
-_M_ARENA_MAX = -8
+LARGE_BYTES = 4 * 2**20
+"""Blocks from this size on are pages of their own, given back as soon as they are free. By default the size
+grows with the blocks that are freed, up to 32 MiB; then tables of a plan lie in the heap, and what is behind
+them holds it.
+"""
+_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3
 """Of malloc.h."""
 
 
@@ -29,9 +34,10 @@ def _of_c_library(name: str) -> Any:
 
 
 def few_heaps() -> None:
-    """Threads to come share `HEAPS` heaps, so that they use again what others have left free."""
+    """Threads to come share `HEAPS` heaps and use again what others left free; large blocks are in none."""
     if (mallopt := _of_c_library("mallopt")) is not None:
         mallopt(ctypes.c_int(_M_ARENA_MAX), ctypes.c_int(HEAPS))
+        mallopt(ctypes.c_int(_M_MMAP_THRESHOLD), ctypes.c_int(LARGE_BYTES))
 
 
 def give_back() -> None:
