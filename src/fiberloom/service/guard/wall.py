@@ -205,7 +205,7 @@ def _limit_of(scope: Scope) -> int:
 
 def _check_length(scope: Scope, limit: int) -> None:
     said = dict(scope["headers"]).get(b"content-length", b"0")
-    if not said.isdecimal() or int(said[:20]) > limit:
+    if not said.isdigit() or int(said[:20]) > limit:
         raise TurnedAway(413, f"larger than {limit} bytes")
 
 
