@@ -26,14 +26,9 @@ import numpy as np
 
 from fiberloom.service.web.stream import PICTURE_S
 
+from .chromium import SIZE, launched
 from .processes import cpu_s, kind, memory_mb, tree
 
-CHROMIUM = "/usr/bin/chromium"
-ARGUMENTS = [
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update"),
-]
-SIZE = {"width": 1280, "height": 800}
 SETTLE_S = 5.0
 """After the page was opened, before anything is counted."""
 COUNTER = """
@@ -201,7 +196,7 @@ def main() -> int:
 
     results = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        browser = launched(playwright)
         for positioners in asked.positioners:
             results.append(measure(browser, positioners, asked.seconds, asked.pictures))
             print(told(results[-1]), flush=True)

@@ -23,7 +23,7 @@ from typing import Any
 import fiberloom as fl
 from fiberloom.targets import random_targets, write_targets
 
-from .__main__ import ARGUMENTS, CHROMIUM, SIZE
+from .chromium import SIZE, launched
 
 FAULTS = "dead=1,dark=2"
 PATIENCE_S = 1800.0
@@ -108,7 +108,7 @@ def main() -> int:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright, observing(asked.positioners, asked.seed) as service:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        browser = launched(playwright)
         page = browser.new_page(viewport=SIZE)
         page.goto(service.url)
         until(lambda: page.evaluate(MID))

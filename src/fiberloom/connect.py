@@ -88,8 +88,7 @@ def open_hardware(
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
     if kind is not None:
-        # an opened bus is for MEGARA's frames alone, which `_check_steppers` has seen to
-        return kind(plane, bus.removeprefix(kind.at) if isinstance(bus, str) else bus, seen, address)  # type: ignore[arg-type]
+        return kind(plane, bus.removeprefix(kind.at) if isinstance(bus, str) else bus, seen, address)
     if isinstance(bus, str) and bus.startswith(FPGA):
         return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
     found = OpenedArray.of(bus, seen, address)

@@ -166,3 +166,18 @@ def tcp_port(text: str, last: int = LAST_PORT) -> int | None:
         return None
     number = int(text)
     return number if 0 < number <= last else None
+
+
+def host_and_port(text: str, what: str, default: int, last: int = LAST_PORT) -> tuple[str, int]:
+    """Those of HOST or HOST:PORT, whose port is the `default` where none is given and `last` at most.
+
+    InputError for anything else, in the name of `what` is there.
+
+    >>> host_and_port("10.1.10.5", "radio", 4900)
+    ('10.1.10.5', 4900)
+    """
+    host, _, told = text.partition(":")
+    port = tcp_port(told, last) if told else default
+    if not host or port is None:
+        raise InputError(f"{what} '{text}': expected HOST or HOST:PORT with a port 1 to {last}")
+    return host, port

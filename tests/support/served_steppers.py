@@ -110,3 +110,13 @@ def observed(plane, folder, faults="", meanwhile=None, camera=None):
     goal_mm = plane.forward(seen.assignment.alpha_deg, seen.assignment.beta_deg)
     off_um = 1e3 * np.hypot(*(source.bus.array.fibre_xy() - goal_mm).T)
     return Served(seen, off_um, server, source)
+
+
+def loses_nothing(plane, folder, clients, within_um):
+    """A field whose connections drop in mid-move: so many come in all, and every fibre arrives; the field."""
+    over_tcp = observed(plane, folder, meanwhile=hang_up_in_mid_move)
+    assigned = over_tcp.seen.assignment.target >= 0
+    assert over_tcp.server.report()["clients"] == clients
+    assert over_tcp.named == {}
+    assert over_tcp.off_um[assigned].max() < within_um
+    return over_tcp

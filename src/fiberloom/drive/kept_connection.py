@@ -6,11 +6,25 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 from fiberloom.bus.links import Link, notice_silence, retries_s
 
 CONNECT_S = 3.0
 READ_BYTES = 1 << 16
+
+Said = TypeVar("Said")
+
+
+async def all_of(queue: asyncio.Queue[Said], wait_s: float) -> list[Said]:
+    """All that is in a `queue`; waits up to `wait_s` for anything."""
+    try:
+        found = [await asyncio.wait_for(queue.get(), max(wait_s, 0.0))]
+    except TimeoutError:
+        return []
+    while not queue.empty():
+        found.append(queue.get_nowait())
+    return found
 
 
 class KeptConnection:

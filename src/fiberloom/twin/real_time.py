@@ -34,8 +34,8 @@ class Lateness:
 
     *woken*: the thread slept, and was woken too late; *held*: others touched the twin; *frames*: frames were
     taken in and handed out; *taken*: the system gave the core to others; *blocked*: the thread waited for a
-    lock; *paged*: it touched new memory; *computed*: the computation was long. One that had to wait for
-    another has the cause of that."""
+    lock; *computed*: the computation was long; *paged*: so it was, and it touched new memory. One that had
+    to wait for another has the cause of that."""
     first_by_cause: dict[str, int]
     """Of them, those that did not have to wait for another."""
     woken_ms: tuple[float, float, float]

@@ -44,12 +44,20 @@ def test_a_goal_beyond_the_units_own_switches_is_named_and_not_loaded():
     assert [leg.rows.tolist() for leg in legs] == [[1]]
 
 
+SEVEN = fl.FocalPlane.of("moons", seed=0, n=7)
+
+
+def legs_of_seven():
+    """Of units that all unfold."""
+    here = np.tile(SEVEN.instrument.positioner.park_deg, (7, 1))
+    goal = np.column_stack([np.linspace(-150.0, 150.0, 7), np.full(7, 170.0)])
+    known = KnownUnits.nominal(AxisSteps.of(SEVEN.instrument), 7)
+    wanted = Wanted(SEVEN, here, goal, np.zeros(7))
+    return WaveformMaker(3400).legs(wanted, np.ones(7, dtype=bool), np.zeros((7, 2)), known)
+
+
 def test_one_that_cannot_run_its_waveform_stands_in_the_plan_of_the_others(monkeypatch):
     """They were planned as if it moved, and would run into it."""
-    plane, n = fl.FocalPlane.of("moons", seed=0, n=7), 7
-    here = np.tile(plane.instrument.positioner.park_deg, (n, 1))
-    goal = np.column_stack([np.linspace(-150.0, 150.0, n), np.full(n, 170.0)])
-    known = KnownUnits.nominal(AxisSteps.of(plane.instrument), n)
     real, stood = maker._planned, []
 
     def planned(wanted, moves):
@@ -61,8 +69,7 @@ def test_one_that_cannot_run_its_waveform_stands_in_the_plan_of_the_others(monke
 
     monkeypatch.setattr(maker, "_planned", planned)
     monkeypatch.setattr(maker, "_unfit", unfit)
-    wanted = Wanted(plane, here, goal, np.zeros(n))
-    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(n, dtype=bool), np.zeros((n, 2)), known)
+    legs, refused = legs_of_seven()
     assert stood == [[], [3]]
     assert refused == {3: "a reason"}
     assert [leg.rows.tolist() for leg in legs] == [[0, 1, 2, 4, 5, 6]]
@@ -70,14 +77,10 @@ def test_one_that_cannot_run_its_waveform_stands_in_the_plan_of_the_others(monke
 
 def test_one_that_a_plan_refuses_and_the_next_does_not_is_not_named(monkeypatch):
     """In the first plan it has no way past one that then stands."""
-    plane, n = fl.FocalPlane.of("moons", seed=0, n=7), 7
-    here = np.tile(plane.instrument.positioner.park_deg, (n, 1))
-    goal = np.column_stack([np.linspace(-150.0, 150.0, n), np.full(n, 170.0)])
-    known = KnownUnits.nominal(AxisSteps.of(plane.instrument), n)
-    real, number, plans = maker._planned, int(plane.positioner_id[2]), []
+    real, number, plans = maker._planned, int(SEVEN.positioner_id[2]), []
 
     def planned(wanted, moves):
-        plans.append(real(wanted, moves & (np.arange(n) != 2) if not plans else moves))
+        plans.append(real(wanted, moves & (np.arange(7) != 2) if not plans else moves))
         return plans[-1] if len(plans) > 1 else replace(plans[-1], refused={number: "no way"})
 
     def unfit(instrument, steps, before, waves):
@@ -85,11 +88,10 @@ def test_one_that_a_plan_refuses_and_the_next_does_not_is_not_named(monkeypatch)
 
     monkeypatch.setattr(maker, "_planned", planned)
     monkeypatch.setattr(maker, "_unfit", unfit)
-    wanted = Wanted(plane, here, goal, np.zeros(n))
-    legs, refused = WaveformMaker(3400).legs(wanted, np.ones(n, dtype=bool), np.zeros((n, 2)), known)
+    legs, refused = legs_of_seven()
     gone = [row for leg in legs for row in leg.rows.tolist()]
     assert 2 in gone
-    assert sorted([*gone, *refused]) == list(range(n))
+    assert sorted([*gone, *refused]) == list(range(7))
 
 
 def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():

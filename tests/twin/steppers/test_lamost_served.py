@@ -16,7 +16,7 @@ from fiberloom.twin.server.address import Address
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.megara import MegaraBus
 from fiberloom.twin.steppers.served import RadioServer
-from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, observed
+from support.served_steppers import SEED, free_ports, loses_nothing, observed
 
 N = 7
 PLANE = fl.FocalPlane.of("lamost", seed=SEED, n=N)
@@ -38,11 +38,7 @@ def test_a_whole_field_is_observed_over_tcp(tmp_path):
 
 
 def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
-    over_tcp = observed(PLANE, tmp_path, meanwhile=hang_up_in_mid_move)
-    assigned = over_tcp.seen.assignment.target >= 0
-    assert over_tcp.server.report()["clients"] == 2
-    assert over_tcp.named == {}
-    assert over_tcp.off_um[assigned].max() < 40.0
+    loses_nothing(PLANE, tmp_path, clients=2, within_um=40.0)
 
 
 def test_half_a_packet_of_a_lost_connection_does_not_eat_the_next_one():

@@ -14,7 +14,7 @@ from fiberloom.metrology.camera import NoCamera
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.megara import MegaraBus, bus_of
 from fiberloom.twin.steppers.served import RobotUnits
-from support.served_steppers import SEED, hang_up_in_mid_move, observed
+from support.served_steppers import SEED, loses_nothing, observed
 
 N = 7
 PLANE = fl.FocalPlane.of("megara", seed=SEED, n=N)
@@ -33,11 +33,7 @@ def test_a_whole_field_is_observed_over_tcp(tmp_path):
 
 
 def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
-    over_tcp = observed(PLANE, tmp_path, meanwhile=hang_up_in_mid_move)
-    assigned = over_tcp.seen.assignment.target >= 0
-    assert over_tcp.server.report()["clients"] == 2
-    assert over_tcp.named == {}
-    assert over_tcp.off_um[assigned].max() < 102.0
+    over_tcp = loses_nothing(PLANE, tmp_path, clients=2, within_um=102.0)
     assert over_tcp.server.report()["contacts"] == 0
 
 

@@ -16,7 +16,7 @@ from fiberloom.targets.generate import random_targets
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.steppers.kinds import KINDS
 from fiberloom.twin.steppers.source import StepperSource
-from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, observed
+from support.served_steppers import SEED, free_ports, loses_nothing, observed
 
 N = 7
 
@@ -53,11 +53,7 @@ def test_a_deaf_unit_is_named_and_the_others_arrive(plane, tmp_path):
 
 
 def test_connections_that_drop_in_mid_move_lose_nothing(plane, tmp_path):
-    over_tcp = observed(plane, tmp_path, meanwhile=hang_up_in_mid_move)
-    assigned = over_tcp.seen.assignment.target >= 0
-    assert over_tcp.server.report()["clients"] == 6  # three gateways, twice
-    assert over_tcp.named == {}
-    assert over_tcp.off_um[assigned].max() < 30.0
+    loses_nothing(plane, tmp_path, clients=6, within_um=30.0)  # three gateways, twice
 
 
 def test_where_nothing_listens_it_says_where(plane):
@@ -76,7 +72,7 @@ def test_units_must_be_known(plane):
 
 @pytest.mark.parametrize("text", ["", ":4700", "host:0", "host:65535", "host:a"])
 def test_addresses(text):
-    with pytest.raises(InputError, match="the first of 3 ports"):
+    with pytest.raises(InputError, match=r"first of 3 gateways .* with a port 1 to 65533"):
         gateway_address(text)
     assert gateway_address("host") == ("host", 4700)
     assert gateway_address("host:4800") == ("host", 4800)

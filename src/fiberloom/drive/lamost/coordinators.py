@@ -7,10 +7,10 @@ import time
 from collections.abc import Sequence
 
 from fiberloom.bus.links import Link
-from fiberloom.drive.kept_connection import KeptConnection
+from fiberloom.drive.kept_connection import KeptConnection, all_of
 from fiberloom.drive.lamost.packets import RadioReader
 from fiberloom.errors import InputError
-from fiberloom.files import tcp_port
+from fiberloom.files import host_and_port
 
 RADIO_PORT = 4900
 """[A]."""
@@ -18,11 +18,7 @@ RADIO_PORT = 4900
 
 def radio_address(text: str) -> tuple[str, int]:
     """Host and port of HOST or HOST:PORT; InputError for anything else."""
-    host, _, told = text.partition(":")
-    port = tcp_port(told) if told else RADIO_PORT
-    if not host or port is None:
-        raise InputError(f"radio '{text}': expected HOST or HOST:PORT with a port 1 to 65535")
-    return host, port
+    return host_and_port(text, "radio", RADIO_PORT)
 
 
 class TcpRadio:
@@ -66,13 +62,7 @@ class TcpRadio:
 
     async def receive(self, timeout_s: float) -> list[bytes]:
         """What was heard; waits up to `timeout_s` of their time for anything."""
-        try:
-            found = [await asyncio.wait_for(self._heard.get(), max(timeout_s, 0.0) / self._speed)]
-        except TimeoutError:
-            return []
-        while not self._heard.empty():
-            found.append(self._heard.get_nowait())
-        return found
+        return await all_of(self._heard, timeout_s / self._speed)
 
     async def close(self) -> None:
         """Lets go. Closing twice does no harm."""

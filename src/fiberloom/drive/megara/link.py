@@ -18,16 +18,9 @@ from fiberloom.drive.megara.frames import (
     decode_state,
     goal_frames,
 )
+from fiberloom.drive.steppers import together
 from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
-from fiberloom.drive.steppers.together import (
-    NotStarted,
-    Say,
-    down_before,
-    held_as,
-    line_of,
-    not_started,
-    unsaid,
-)
+from fiberloom.drive.steppers.together import NotStarted, Say, held_as, line_of, not_started, unsaid
 from fiberloom.errors import InputError
 
 ANSWER_S = 0.5
@@ -126,27 +119,17 @@ class MegaraLink:
         await self.stop()  # the start is for all: who still has a goal of a start that never came drops it
         await self._send(goal_frames(goals))
         end_s = self.time_s + leg.duration_s
-        late = await self._start(goals, [n for n, way in zip(ids, _goes(leg), strict=True) if way], say)
+        going = [robot for robot, way in zip(ids, _goes(leg), strict=True) if way]
+        start = MegaraFrame.of(0, 0, MegaraCommand.START)
+        late = await together.start(
+            self.transport, going, lambda: self._send([start]), lambda: self._late(goals, going), say
+        )
         if late is None:
             await self.sleep(end_s - self.time_s)
         else:
-            await self._hold()
+            await together.hold(self.stop, self._patience)
         states = await self._states(list(ids))
         return {robot: _ended(goals[robot], states, robot, late) for robot in ids}
-
-    async def _start(
-        self, goals: dict[int, tuple[int, int]], going: Sequence[int], say: Say
-    ) -> NotStarted | None:
-        """Starts all that have `goals`; None: those that are `going` do so. Else who does not."""
-        if down := down_before(self.transport, going):
-            say(f"{down}: no robot is started")
-            return NotStarted(set(), "")
-        await self._send([MegaraFrame.of(0, 0, MegaraCommand.START)])
-        late = await self._late(goals, going)
-        if not late.ids:
-            return None
-        say(f"{late.text}: all are stopped")
-        return late
 
     async def _late(self, goals: dict[int, tuple[int, int]], going: Sequence[int]) -> NotStarted:
         """Who of those that are `going` has not started: robots say so, or none of their port answers."""
@@ -159,12 +142,6 @@ class MegaraLink:
             and not _there(goals[robot], states, robot)
         }
         return not_started(going, stand, silent, lambda number: line_of(self.transport, number))
-
-    async def _hold(self) -> None:
-        """Stops all, where they have not started together; also those that were out of reach."""
-        await self.stop()
-        await self._patience.wait()
-        await self.stop()
 
     async def home(self, ids: Sequence[int]) -> dict[int, Homed]:
         """Searches the switches of rotors 2, then of rotors 1; one that does not answer is missing."""

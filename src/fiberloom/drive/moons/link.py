@@ -28,8 +28,9 @@ from fiberloom.drive.moons.frames import (
     unwrapped,
 )
 from fiberloom.drive.moons.waveform import MOST_SEGMENTS, SEGMENT_S
+from fiberloom.drive.steppers import together
 from fiberloom.drive.steppers.link import Homed, Leg, UnitTold
-from fiberloom.drive.steppers.together import NotStarted, Say, down_before, held_as, not_started, unsaid
+from fiberloom.drive.steppers.together import NotStarted, Say, held_as, not_started, unsaid
 from fiberloom.errors import InputError
 from fiberloom.typing import Ints
 
@@ -42,7 +43,6 @@ MIDDLE = -ALPHA_START, 0
 """Counts about which counters are read: all that arms can reach are within 16 bits of these."""
 LOADED = {MoonsState.READY_FORWARD, MoonsState.READY_REVERSE}
 """Of a unit that holds a waveform and stands."""
-NONE_LATE = NotStarted(set(), "")
 SEARCHED = {MoonsCommand.DATUM_FINISHED, MoonsCommand.DATUM_TIMEOUT}
 FREE_TRIES, FREE_S = 6, 0.05
 """Tries (ukatc/fpu_driver), and s that the steps of one take."""
@@ -185,15 +185,9 @@ class MoonsLink:
 
     async def _start(self, ids: Sequence[int], say: Say) -> NotStarted | None:
         """Starts all of `ids`; None: they go. Else who does not, and the others are to be held."""
-        if down := down_before(self.gateways, ids):
-            say(f"gateway {down}: no unit is started")
-            return NONE_LATE
-        await self._to_all(MoonsCommand.EXECUTE)
-        late = await self._late(ids)
-        if not late.ids:
-            return None
-        say(f"{late.text}: all are stopped")
-        return late
+        return await together.start(
+            self.gateways, ids, lambda: self._to_all(MoonsCommand.EXECUTE), lambda: self._late(ids), say
+        )
 
     async def _late(self, ids: Sequence[int]) -> NotStarted:
         """Who has not started: units say so, or none behind their gateway answers."""
@@ -218,9 +212,7 @@ class MoonsLink:
 
     async def _hold(self, ids: Sequence[int]) -> dict[int, MoonsAnswer]:
         """Stops all, where they have not started together; what they say then."""
-        await self.stop()
-        await self._patience.wait()
-        await self.stop()  # one that was out of reach may move still
+        await together.hold(self.stop, self._patience)
         return await self._asked(ids, MoonsCommand.PING)
 
     async def _free(self, met: dict[int, MoonsAnswer], ways: dict[int, Ints]) -> None:

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from functools import partial
 
 from fiberloom.bus.links import Link
-from fiberloom.drive.kept_connection import KeptConnection
+from fiberloom.drive.kept_connection import KeptConnection, all_of
 from fiberloom.drive.moons.frames import GATEWAYS, UnitPlace
 from fiberloom.errors import InputError
-from fiberloom.files import LAST_PORT, tcp_port
+from fiberloom.files import LAST_PORT, host_and_port
 
 FIRST_PORT = 4700
 """Of the first gateway; the others follow (ukatc/fpu_driver)."""
@@ -19,11 +19,7 @@ FIRST_PORT = 4700
 
 def gateway_address(text: str) -> tuple[str, int]:
     """Host and first port of HOST or HOST:PORT; InputError for anything else."""
-    host, _, told = text.partition(":")
-    port = tcp_port(told, LAST_PORT - GATEWAYS + 1) if told else FIRST_PORT
-    if not host or port is None:
-        raise InputError(f"gateways '{text}': expected HOST or HOST:PORT, the first of {GATEWAYS} ports")
-    return host, port
+    return host_and_port(text, f"first of {GATEWAYS} gateways", FIRST_PORT, LAST_PORT - GATEWAYS + 1)
 
 
 class TcpGateways:
@@ -73,13 +69,7 @@ class TcpGateways:
 
     async def receive(self, timeout_s: float) -> list[tuple[int, bytes]]:
         """What gateways have said; waits up to `timeout_s` of their time for anything."""
-        try:
-            found = [await asyncio.wait_for(self._said.get(), max(timeout_s, 0.0) / self._speed)]
-        except TimeoutError:
-            return []
-        while not self._said.empty():
-            found.append(self._said.get_nowait())
-        return found
+        return await all_of(self._said, timeout_s / self._speed)
 
     async def close(self) -> None:
         """Lets go. Closing twice does no harm."""

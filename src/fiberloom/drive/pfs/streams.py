@@ -9,8 +9,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from fiberloom.drive.pfs.frames import TCP_PORT
-from fiberloom.errors import InputError
-from fiberloom.files import tcp_port
+from fiberloom.files import host_and_port
 
 
 class StreamLost(ConnectionError):
@@ -97,11 +96,7 @@ class TcpStream:
 
 def tcp_address(text: str) -> tuple[str, int]:
     """Host and port of HOST or HOST:PORT."""
-    host, _, told = text.partition(":")
-    port = tcp_port(told) if told else TCP_PORT
-    if not host or port is None:
-        raise InputError(f"FPGA '{text}': expected HOST or HOST:PORT with a port 1 to 65535")
-    return host, port
+    return host_and_port(text, "FPGA", TCP_PORT)
 
 
 def over_tcp(host: str, port: int = TCP_PORT) -> Connect:

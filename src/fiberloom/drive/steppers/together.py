@@ -5,10 +5,10 @@ Their ways are planned together, so one that stands is in the way of the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import NamedTuple
 
-from fiberloom.bus.links import cut_off, links_of
+from fiberloom.bus.links import LinkPatience, cut_off, links_of
 from fiberloom.bus.outcome import Outcome
 
 Say = Callable[[str], None]
@@ -60,6 +60,38 @@ def not_started(
     told = [f"{name} has not confirmed its start" for name in sorted(still)]
     told += [f"units {', '.join(map(str, single))} have not started"] if single else []
     return NotStarted(whole | set(single), "; ".join(told))
+
+
+async def start(
+    transport: object,
+    ids: Iterable[int],
+    begin: Callable[[], Awaitable[None]],
+    late: Callable[[], Awaitable[NotStarted]],
+    say: Say,
+) -> NotStarted | None:
+    """Starts units `ids` by `begin`; None: they go. Else who, by `late`, does not: the rest is to be held.
+
+    Nobody is started where a link of the `transport` to one of them is down. `say` is told why.
+    """
+    if down := down_before(transport, ids):
+        say(f"{down}: no unit is started")
+        return NotStarted(set(), "")
+    await begin()
+    found = await late()
+    if not found.ids:
+        return None
+    say(f"{found.text}: all are stopped")
+    return found
+
+
+async def hold(stop: Callable[[], Awaitable[None]], patience: LinkPatience) -> None:
+    """Calls `stop` for all, where they have not started together; again for those that were out of reach.
+
+    `patience`: waits for their links.
+    """
+    await stop()
+    await patience.wait()
+    await stop()
 
 
 def held_as(number: int, answers: bool, late: NotStarted) -> Outcome:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from fiberloom.bus.links import Link, links_of
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.drive.lamost import RadioTransport, TcpRadio, radio_address
@@ -33,20 +32,23 @@ class OpenedSteppers(OutsideArray):
 
     at = ""
     """Before the address of its bus; "": any bus of CAN frames."""
+    read: Callable[[str], Any] = staticmethod(BusSpec.parse)
+    """What an address says. Raises InputError for one that says nothing."""
 
     def __init__(
         self,
         plane: FocalPlane,
-        address: str,
+        bus: str | Transport,
         camera: Camera,
         camera_name: str = "",
         speed: float = 1.0,
     ) -> None:
-        """`plane` of the units; `address` of their bus, without `at`; `camera`, and its address; `speed`:
-        seconds of theirs in one of ours.
+        """`plane` of the units; `bus`: its address without `at`, or of CAN frames the open bus, which stays
+        open; `camera`, and its address; `speed`: seconds of the units in one of ours.
         """
-        self.plane, self.camera, self.camera_name, self.address = plane, camera, camera_name, address
-        self._speed = speed
+        self.plane, self.camera, self.camera_name, self._speed = plane, camera, camera_name, speed
+        self.address = bus if isinstance(bus, str) else "opened"
+        self._bus: Any = self.read(bus) if isinstance(bus, str) else bus
         self._known: KnownUnits | None = None
 
     @property
@@ -90,15 +92,11 @@ class OpenedMoons(OpenedSteppers):
     """Units of MOONS behind their gateways on TCP. `address`: HOST or HOST:PORT of the first."""
 
     at = "gateways://"
-
-    def __init__(
-        self, plane: FocalPlane, address: str, camera: Camera, camera_name: str = "", speed: float = 1.0
-    ) -> None:
-        super().__init__(plane, address, camera, camera_name, speed)
-        self._where = gateway_address(address)
+    read = staticmethod(gateway_address)
 
     async def _link(self) -> StepperLink:
-        gateways = TcpGateways(*self._where, self._speed)
+        host, port = self._bus
+        gateways = TcpGateways(host, port, self._speed)
         await gateways.open()
         return MoonsLink(gateways)
 
@@ -110,33 +108,17 @@ class OpenedLamost(OpenedSteppers):
     """Units of LAMOST over the air. `address`: HOST or HOST:PORT of what speaks to the coordinators."""
 
     at = "radio://"
-
-    def __init__(
-        self, plane: FocalPlane, address: str, camera: Camera, camera_name: str = "", speed: float = 1.0
-    ) -> None:
-        super().__init__(plane, address, camera, camera_name, speed)
-        self._where = radio_address(address)
+    read = staticmethod(radio_address)
 
     async def _link(self) -> StepperLink:
-        radio = TcpRadio(*self._where, self._speed)
+        host, port = self._bus
+        radio = TcpRadio(host, port, self._speed)
         await radio.open()
         return MegaraLink(RadioTransport(radio))
 
 
 class OpenedMegara(OpenedSteppers):
-    """Robots of MEGARA on a bus of CAN frames, by its address or opened before."""
-
-    def __init__(
-        self,
-        plane: FocalPlane,
-        bus: str | Transport,
-        camera: Camera,
-        camera_name: str = "",
-        speed: float = 1.0,
-    ) -> None:
-        """`bus`: its address as `BusSpec` reads it, or the open bus, which stays open."""
-        super().__init__(plane, bus if isinstance(bus, str) else "opened", camera, camera_name, speed)
-        self._bus = BusSpec.parse(bus) if isinstance(bus, str) else bus
+    """Robots of MEGARA on a bus of CAN frames, by its address as `BusSpec` reads it, or opened before."""
 
     async def _link(self) -> StepperLink:
         spec = self._bus
@@ -144,41 +126,23 @@ class OpenedMegara(OpenedSteppers):
         return MegaraLink(bus if self._speed == 1.0 else FasterBus(bus, self._speed))
 
 
-class FasterBus:
-    """A bus of a twin whose clock runs faster than ours. Implements `Transport`."""
+class FasterBus(LeftOpen):
+    """A bus of a twin whose clock runs faster than ours, closed with it."""
 
     def __init__(self, bus: Transport, speed: float) -> None:
         """`speed`: seconds of the twin in one of ours."""
-        self._bus, self._speed = bus, speed
+        super().__init__(bus)
+        self._speed = speed
 
     @property
     def time_s(self) -> float:
         """Of the twin."""
-        return self._bus.time_s * self._speed
-
-    @property
-    def links(self) -> Sequence[Link]:
-        """Its connections."""
-        return links_of(self._bus)
-
-    def link_of(self, positioner: int) -> Link | None:
-        """The connection to a positioner, where it is known."""
-        find = getattr(self._bus, "link_of", None)
-        return None if find is None else cast("Link | None", find(positioner))
-
-    def line_of(self, positioner: int) -> str:
-        """The port at which a positioner hangs, in words; "": not known."""
-        find = getattr(self._bus, "line_of", None)
-        return "" if find is None else str(find(positioner))
-
-    async def send(self, frames: Sequence[tuple[int, bytes] | Frame]) -> None:
-        """Sends `frames`."""
-        await self._bus.send(frames)
+        return self._transport.time_s * self._speed
 
     async def receive(self, timeout_s: float) -> list[Frame]:
         """Waits for frames, `timeout_s` of the twin at most."""
-        return await self._bus.receive(timeout_s / self._speed)
+        return await self._transport.receive(timeout_s / self._speed)
 
     async def close(self) -> None:
         """Closes the bus."""
-        await self._bus.close()
+        await self._transport.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Collection, Iterable
 from functools import partial
 from typing import NamedTuple
 
@@ -96,14 +96,14 @@ async def _heard(bus: Transport) -> list[Frame]:
 
 
 async def _megara(spec: BusSpec) -> Halted:
-    return await _rotors(await spec.open(whose=robot_of))
+    bus = await spec.open(whose=robot_of)
+    return await _steppers(MegaraLink(bus), bus)
 
 
-async def _rotors(bus: Transport) -> Halted:
-    link = MegaraLink(bus)
+async def _steppers(link: MegaraLink | MoonsLink, lines: object) -> Halted:
     try:
         moving = await link.stop_told(ANSWER_S)
-        return _told(moving, [robot for robot, moves in moving.items() if moves], lines=bus)
+        return _told(moving, [unit for unit, moves in moving.items() if moves], lines=lines)
     finally:
         await link.close()
 
@@ -114,7 +114,7 @@ def _lamost(address: str) -> Halt:
     async def halt() -> Halted:
         radio = TcpRadio(*where)
         await radio.open()
-        return await _rotors(RadioTransport(radio))
+        return await _steppers(MegaraLink(RadioTransport(radio)), radio)
 
     return halt
 
@@ -125,12 +125,7 @@ def _moons(address: str) -> Halt:
     async def halt() -> Halted:
         gateways = TcpGateways(*where)
         await gateways.open()
-        link = MoonsLink(gateways)
-        try:
-            moving = await link.stop_told(ANSWER_S)
-            return _told(moving, [unit for unit, moves in moving.items() if moves], lines=gateways)
-        finally:
-            await link.close()
+        return await _steppers(MoonsLink(gateways), gateways)
 
     return halt
 
@@ -160,9 +155,9 @@ _HINT = "; they were asked in the frames of SDSS-V, others are named by --instru
 
 
 def _told(
-    answered: Iterable[int],
-    moving: Iterable[int] = (),
-    silent: Iterable[int] = (),
+    answered: Collection[int],
+    moving: Collection[int] = (),
+    silent: Collection[int] = (),
     lines: object = None,
     hint: str = "",
 ) -> Halted:
@@ -170,9 +165,9 @@ def _told(
 
     `hint`: added where none has answered.
     """
-    at, down = len(list(answered)), [str(link) for link in links_of(lines) if not link.up]
+    at, down = len(answered), [str(link) for link in links_of(lines) if not link.up]
     wrong = [(f"no answer from {_numbers(silent)}", silent), (f"still moving: {_numbers(moving)}", moving)]
-    faults = [text for text, ids in wrong if list(ids)] + down
+    faults = [text for text, ids in wrong if ids] + down
     text = "; ".join([f"{at} positioners have answered", *faults]) + ("" if at else hint)
     return Halted(bool(at) and not faults, text)
 

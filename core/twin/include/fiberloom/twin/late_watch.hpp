@@ -15,7 +15,7 @@ enum class LateCause {
     frames,   // frames were taken in and handed out
     taken,    // the system gave the core to others meanwhile
     blocked,  // the thread waited for a lock
-    paged,    // memory was touched for the first time, or had been given back
+    paged,    // the same as the next, and memory was touched for the first time meanwhile
     computed, // the computation itself was long
 };
 

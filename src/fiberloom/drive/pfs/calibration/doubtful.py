@@ -13,6 +13,7 @@ from scipy.special import ndtr
 
 from fiberloom.drive.pfs.calibration.maps import ODD_STEPS
 from fiberloom.drive.pfs.calibration.measure import STANDS, CobraCalibration
+from fiberloom.drive.pfs.drive import CobraSettings
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
@@ -26,8 +27,8 @@ BEFORE = 2
 """Moves that turn theta and open phi: they bring a fibre no nearer (the published via points are as many)."""
 FEWEST = 8
 """As a file of a night has it. In fewer moves it is these that do not suffice, and not a motor."""
-REST_SHARE = 0.5
-"""Of the requirement: a fibre that near stays (`CobraSettings.rest_share`)."""
+REST_SHARE = CobraSettings.rest_share
+"""Of the requirement: a fibre that is believed to be so near stays."""
 LOG_STEP = 0.1
 """Of the walk's distances: halved, it changes shares by less than 0.1 %."""
 HALVINGS = 14

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from pages import bound, visitor
 from served import PATIENCE_S, idle, listening, served_three_fields, wait_for
-from test_served_page import bound, browser, visitor  # noqa: F401  # the browser is a fixture
 
 from fiberloom.service.last_image import KeptImage
 from fiberloom.service.stamps import Stamps
@@ -12,7 +12,7 @@ from fiberloom.store.nights.book import NightBook
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory, browser):  # noqa: F811
+def page(tmp_path_factory, browser):
     folder = tmp_path_factory.mktemp("night")
     with (
         served_three_fields(folder, long_s=60, short_s=20) as (array, night),

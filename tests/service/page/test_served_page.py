@@ -2,34 +2,17 @@
 
 import contextlib
 import io
-import socket
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from served import ANN, HOST, PATIENCE_S, idle, listening, plane_of, served, wait_for
+from pages import bound, click_fibre, visitor
+from served import ANN, PATIENCE_S, idle, listening, plane_of, served, wait_for
 
 from fiberloom.service.guard.tokens import TokenFile
 
-api = pytest.importorskip("playwright.sync_api", reason="pip install playwright: the page in a browser")
-CHROMIUM = Path("/usr/bin/chromium")
-ARGUMENTS = [
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update"),
-]
 PLANE = plane_of()
 VIEW = "v" * 32
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if not CHROMIUM.exists():
-        pytest.skip("left out: no /usr/bin/chromium for the tests of the page (apt-get install chromium)")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -49,30 +32,6 @@ def observed(array, folder):
     if array.live.plan() is None:
         array.observe(ANN, folder / "targets" / "t.csv", 0)
         idle(array)
-
-
-def bound(port=0):
-    made = socket.socket()
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    made.bind((HOST, port))
-    return made
-
-
-@contextlib.contextmanager
-def visitor(browser, url, cut=False, **how):
-    """A page that was opened and is live; no error of any kind, and nothing from elsewhere, until its end."""
-    wrong = []
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, **how)
-    page = context.new_page()
-    page.on("console", lambda m: wrong.append(m.text) if m.type in ("error", "warning") else None)
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("request", lambda r: None if r.url.startswith(url) else wrong.append(f"elsewhere: {r.url}"))
-    page.goto(url)
-    yield page
-    context.close()
-    if cut:  # a connection that is refused meanwhile is told by the browser itself
-        wrong = [text for text in wrong if "ERR_CONNECTION" not in text and "WebSocket" not in text]
-    assert wrong == []
 
 
 @pytest.fixture(scope="module")
@@ -129,13 +88,7 @@ def test_a_field_is_observed_by_a_click_and_seen_in_motion(page, array, folder):
 
 def test_a_click_on_a_positioner_shows_its_history(observed, page, array):
     row = 2
-    x, y = page.evaluate(
-        "(row) => { const { view, model } = window.fiberloom, tip = model.plane.arm(row).slice(6);"
-        " const box = document.querySelector('#moving').getBoundingClientRect();"
-        " return [box.left + view.px(tip[0]) / view.ratio, box.top + view.py(tip[1]) / view.ratio]; }",
-        row,
-    )
-    page.mouse.click(x, y)
+    click_fibre(page, row)
     number = PLANE.positioner_id[row]
     page.wait_for_selector(f"text=positioner {number}, hole")
     text = page.inner_text("#positioner")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from benchmarks.page.motion import ToAndFro, standing, straight_plan
+from pages import bound, click_fibre, visitor
 from served import listening, plane_of, wait_for
-from test_served_page import bound, browser, visitor  # noqa: F401  # the browser is a fixture
 
 from fiberloom.service.live import CODE, FRAME
 
@@ -52,7 +52,7 @@ def motion(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(motion, browser):  # noqa: F811
+def page(motion, browser):
     with listening(motion.array, motion.folder, bound()) as url, visitor(browser, url) as page:
         page.wait_for_selector("#mark:not([hidden])")
         page.evaluate(COUNTER)
@@ -126,11 +126,5 @@ def test_a_click_in_the_whole_field_finds_the_right_one(page, motion):
     motion.array.live.rests(motion.plans[0].end_deg)
     page.wait_for_selector("#mark", state="hidden")
     row = lonely(plane, motion.plans[0].end_deg)
-    x, y = page.evaluate(
-        "(row) => { const { view, model } = window.fiberloom, tip = model.plane.arm(row).slice(6);"
-        " const box = document.querySelector('#moving').getBoundingClientRect();"
-        " return [box.left + view.px(tip[0]) / view.ratio, box.top + view.py(tip[1]) / view.ratio]; }",
-        row,
-    )
-    page.mouse.click(x, y)
+    click_fibre(page, row)
     page.wait_for_selector(f"text=positioner {plane.positioner_id[row]}, hole {plane.hole[row]}")
