@@ -175,7 +175,8 @@ def pocketed(
             found = flood(bodies, row, (ends_deg[0][row], ends_deg[1][row]), buffer_mm, pockets)
             if found.way == Way.NONE:
                 others = f" beside {len(pockets)} in pockets" if pockets else " alone"
-                proven[number] = f"no way{others}, cells of {found.cell_deg:g} deg"
+                off = f" that keeps {found.room_deg:g} deg to the hard stops" if found.room_deg else ""
+                proven[number] = f"no way{others}{off}, cells of {found.cell_deg:g} deg"
                 if found.pocket is not None:
                     pockets[row] = found.pocket
         if len(proven) == before:

@@ -6,7 +6,11 @@ shut if the arm in its middle overlaps a body by more than w: then it overlaps i
 no chain of other cells, corners included, leads from the start to the goal, there is no way: a pocket,
 proven. A cell is open if the arm in its middle is farther than w from all bodies. If a chain of open cells,
 edge to edge, leads there, there is a way. Between both the cells are made smaller; only those that can be
-come to and are not open are looked at again.
+come to and are not open are looked at again. At last they are made smaller still around one end alone: what
+cannot leave there is in a pocket.
+
+Where no pocket is shown so, the same is asked within the travel that a motion may use, which keeps
+`STOP_ROOM_DEG` to the hard stops: nearer the firmware may refuse it, since it limits the angle of the motor.
 
 Bodies are those that rest for good: fiducials and guide cameras. All positioners that can move are absent.
 A positioner that is in a pocket itself can move within the pocket alone; it shuts a cell of another where
@@ -26,12 +30,19 @@ from enum import StrEnum
 import numpy as np
 from scipy.ndimage import label
 
+from fiberloom.planning.bodies import STOP_ROOM_DEG
 from fiberloom.typing import Flags, Floats, Ints
 
 from .bodies import Bodies, between, to_segment
 
 CELLS_DEG = (0.5, 0.25, 0.125)
 """The planner's own grid is nowhere finer than 1.46 deg."""
+FINER_DEG = (1 / 16, 1 / 32, 1 / 64)
+"""Around one end alone."""
+AROUND_DEG = 10.0
+"""So far around what is open there."""
+MOST_AROUND = 1_000_000
+"""Where that are more cells of the last of `CELLS_DEG` it is no pocket, and would take too much room."""
 AT_ONCE = 100_000
 """So many cells at once."""
 FEW = 16
@@ -65,6 +76,8 @@ class Found:
     way: Way
     cell_deg: float
     pocket: Pocket | None = None
+    room_deg: float = 0.0
+    """Kept to the hard stops."""
 
 
 def flood(
@@ -74,22 +87,45 @@ def flood(
     buffer_mm: float,
     pockets: Mapping[int, Pocket] | None = None,
 ) -> Found:
-    """Whether a positioner gets from start to goal (2,) deg, all others absent but those in `pockets`."""
+    """Whether a positioner gets from start to goal (2,) deg, all others absent but those in `pockets`.
+
+    Between the hard stops; where that shows no pocket, as near to them as a motion may come.
+    """
+    for room_deg in (0.0, STOP_ROOM_DEG):
+        found = _flood(bodies, row, ends_deg, buffer_mm, pockets or {}, room_deg)
+        if found.way == Way.NONE:
+            break
+    return found
+
+
+def _flood(
+    bodies: Bodies,
+    row: int,
+    ends_deg: tuple[Floats, Floats],
+    buffer_mm: float,
+    pockets: Mapping[int, Pocket],
+    room_deg: float,
+) -> Found:
+    limits_deg = bodies.stops_deg + np.array([room_deg, -room_deg])
     area = open_ = np.zeros((0, 0), dtype=bool)
     for cell_deg in CELLS_DEG:
-        grid = _Grid(bodies, row, cell_deg)
+        grid = _Grid(bodies, row, cell_deg, limits_deg)
         shut, open_ = grid.cells(buffer_mm, area, open_)
         first, last = (grid.cell_of(end) for end in ends_deg)
-        near = [other for other in (pockets or {}).values() if grid.near(other, buffer_mm)]
+        near = [other for other in pockets.values() if grid.near(other, buffer_mm)]
         area = _area(~shut, first, CORNERS)
         for other in near:
             area = _area(grid.less(area, other, buffer_mm), first, CORNERS)
         if not area[last]:
-            return Found(Way.NONE, cell_deg, grid.pocket(area) if area[first] else None)
+            pocket = grid.pocket(area) if area[first] else None
+            return Found(Way.NONE, cell_deg, pocket, room_deg)
         # where it meets none of the places of another is not asked: beside pockets only proofs count
         if not near and _area(open_, first, EDGES)[last]:
-            return Found(Way.THERE, cell_deg)
-    return Found(Way.UNKNOWN, CELLS_DEG[-1])
+            return Found(Way.THERE, cell_deg, None, room_deg)
+    for here, there in (ends_deg, ends_deg[::-1]):
+        if shut_in := _Window(grid, here, area, open_).found(there, buffer_mm, room_deg):
+            return shut_in
+    return Found(Way.UNKNOWN, CELLS_DEG[-1], None, room_deg)
 
 
 def meets_one(pocket: Pocket, arms: tuple[Floats, Floats], buffer_mm: float) -> bool:
@@ -139,10 +175,10 @@ class Places:
 class _Grid:
     """Cells of alpha and beta of one positioner."""
 
-    def __init__(self, bodies: Bodies, row: int, cell_deg: float) -> None:
+    def __init__(self, bodies: Bodies, row: int, cell_deg: float, limits_deg: Floats) -> None:
         self.bodies, self.row, self.cell_deg = bodies, row, cell_deg
-        self.low_deg = bodies.stops_deg[:, 0]
-        numbers = np.ceil((bodies.stops_deg[:, 1] - self.low_deg) / cell_deg - 1e-9).astype(int)
+        self.low_deg = limits_deg[:, 0]
+        numbers = np.ceil((limits_deg[:, 1] - self.low_deg) / cell_deg - 1e-9).astype(int)
         self.middles = [
             np.radians(low + (np.arange(n) + 0.5) * cell_deg)
             for low, n in zip(self.low_deg, numbers, strict=True)
@@ -210,3 +246,41 @@ class _Grid:
         first, second = np.nonzero(cells)
         ends = self.bodies.lines(self.row, self.middles[0][first], self.middles[1][second])
         return Pocket(self.row, ends, self.within_mm)
+
+
+class _Window:
+    """A part of a grid: what is open around one end, and some cells around that."""
+
+    def __init__(self, grid: _Grid, end_deg: Floats, area: Flags, open_: Flags) -> None:
+        self.grid, self.end_deg = grid, end_deg
+        inside = np.argwhere(_area(open_, grid.cell_of(end_deg), EDGES))
+        low, end = (inside.min(axis=0), inside.max(axis=0) + 1) if len(inside) else np.zeros((2, 2), int)
+        around = round(AROUND_DEG / grid.cell_deg)
+        low, end = np.maximum(low - around, 0), np.minimum(end + around, area.shape)
+        box = tuple(slice(*both) for both in zip(low, end, strict=True))
+        self.area, self.open_ = area[box], open_[box]
+        self.limits_deg = (grid.low_deg + grid.cell_deg * np.array([low, end])).T
+        self.leads_out = np.array([low > 0, end < area.shape])
+
+    def found(self, other_deg: Floats, buffer_mm: float, room_deg: float) -> Found | None:
+        """That nothing leads from its end out of it, or to the other one; None: that is not shown."""
+        area, open_ = self.area, self.open_
+        for cell_deg in FINER_DEG if area.size <= MOST_AROUND else ():
+            fine = _Grid(self.grid.bodies, self.grid.row, cell_deg, self.limits_deg)
+            shut, open_ = fine.cells(buffer_mm, area, open_)
+            area = _area(~shut, fine.cell_of(self.end_deg), CORNERS)
+            # of another end outside it is the nearest cell
+            if not self._leaves(area) and not area[fine.cell_of(other_deg)]:
+                return Found(Way.NONE, cell_deg, self._pocket(area), room_deg)
+        return None
+
+    def _leaves(self, area: Flags) -> bool:
+        """Whether a border of it that is none of the whole grid is reached."""
+        borders = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
+        return bool((borders & self.leads_out).any())
+
+    def _pocket(self, area: Flags) -> Pocket:
+        """In the wider cells of the grid."""
+        n = len(area) // len(self.area)
+        wide = area.reshape(len(self.area), n, -1, n).any(axis=(1, 3))
+        return _Grid(self.grid.bodies, self.grid.row, self.grid.cell_deg, self.limits_deg).pocket(wide)

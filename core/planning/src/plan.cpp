@@ -263,7 +263,7 @@ const char *to_string(Refusal reason) {
     case Refusal::approach_taken:
         return "its approach touches the approach of {other}";
     case Refusal::no_way_alone:
-        return "it cannot pass what stands still around it, even alone";
+        return "it cannot pass what stands still around it within its travel, even alone";
     case Refusal::no_way:
         return "no way past its neighbours was found";
     case Refusal::start_blocked:

@@ -28,5 +28,6 @@ def test_a_way_with_hardly_a_step_to_spare_is_found():
 def test_one_without_any_way_is_refused_and_the_others_go():
     start_deg = START_DEG + np.array([[1.5, 0.0], [0.0, 0.0], [0.0, 0.0]])
     made = planned(start_deg)
-    assert made.refused == {160: "positioner 160: it cannot pass what stands still around it, even alone"}
+    alone = "it cannot pass what stands still around it within its travel, even alone"
+    assert made.refused == {160: f"positioner 160: {alone}"}
     np.testing.assert_allclose(made.end_deg[:2], [start_deg[0], GOAL_DEG[1]], atol=1e-3)

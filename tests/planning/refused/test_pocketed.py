@@ -6,7 +6,7 @@ import pytest
 from fiberloom.instruments import FocalPlane, load_instrument, read_layout
 from fiberloom.planning import plan, random_configuration, verify
 
-ALONE = "it cannot pass what stands still around it, even alone"
+ALONE = "it cannot pass what stands still around it within its travel, even alone"
 START_DEG = np.array([[1.679, 10.222], [116.258, 162.774]])
 GOAL_DEG = np.array([[83.29, 102.92], [344.932, 135.877]])
 NEAR_MM = 70.0

@@ -35,6 +35,21 @@ def test_beside_one_in_a_pocket_as_many_arrive_as_can(seed, buffer_mm, kept_away
     assert "not beside all that arrive" in proven[kept_away]
 
 
+SETTINGS = PlanSettings(collision_buffer_mm=3.0)
+
+
+# Both could leave where they start within the last degree before a hard stop alone: 1092 below -3.5 deg of
+# alpha, 129 below -3.05 deg.
+@pytest.mark.parametrize(("seed", "number"), [(142, 1092), (219, 129), (930, 129)])
+def test_what_opens_in_the_last_degree_before_a_stop_alone_is_a_pocket(seed, number):
+    array = array_at(3.0)
+    ends_deg = array.ends_of(seed)
+    assert "keeps 1 deg to the hard stops" in pocketed(array.bodies, [number], ends_deg, 3.0)[number]
+    row = np.array([array.bodies.row_of(number)])
+    alone = plan(array.plane.select(row), *(end[row] for end in ends_deg), settings=SETTINGS)
+    assert "within its travel, even alone" in alone.refused[number]
+
+
 # Beside 325 565, in a pocket, can make way if both approach otherwise. 677 and 1353, 1056 and 1149, 665 and
 # 831 pass each other in a joint search.
 @pytest.mark.parametrize(

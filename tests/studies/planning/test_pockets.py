@@ -55,6 +55,30 @@ def test_a_gap_narrower_than_a_coarse_cell_is_decided_by_finer_ones():
     assert closed.way != Way.THERE
 
 
+# The second cell is finer than those of the whole square: around the start alone. The third gap opens 0.5 um
+# beyond 3 deg: nothing is said.
+@pytest.mark.parametrize(
+    ("passes_below_deg", "way", "cell_deg"),
+    [
+        (-3.5, Way.NONE, 0.25),
+        (-3.2, Way.NONE, 1 / 16),
+        (-3.004, Way.UNKNOWN, 0.125),
+        (-2.5, Way.THERE, 0.125),
+    ],
+)
+def test_what_opens_only_where_no_motion_goes_is_a_pocket(passes_below_deg, way, cell_deg):
+    """Stretched sideways the arm passes a disc below an angle of alpha alone; a wall shuts the way round."""
+    elbow = 7.4 * np.exp(1j * np.radians(passes_below_deg))
+    disc = elbow + (14.7276 + BUFFER_MM + 1.0) * np.exp(1j * np.radians(passes_below_deg + 90.0))
+    bodies = made([0.0], [(abs(disc), np.degrees(np.angle(disc))), (6.0, 65.0)])
+    ends = np.array([0.0, 60.0]), np.array([0.0, 100.0])
+    found = flood(bodies, 0, ends, BUFFER_MM)
+    assert (found.way, found.cell_deg, found.room_deg) == (way, cell_deg, 1.0)
+    assert (found.pocket is not None) == (way == Way.NONE)
+    if way == Way.NONE:
+        assert "keeps 1 deg to the hard stops" in pocketed(bodies, [1], (ends[:1], ends[1:]), BUFFER_MM)[1]
+
+
 def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
     """The first has its elbow between two discs; the second's goal lies across that elbow."""
     bodies = made([0.0, -22.0], [(6.0, 150.0), (6.0, 210.0)])
