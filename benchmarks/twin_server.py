@@ -1,11 +1,16 @@
 """Does the served twin keep its clock? Serves positioners, drives them by the client, prints lateness.
 
-    python benchmarks/twin_server.py [--positioners 500] [--seconds 10] [--images 1]
+    python benchmarks/twin_server.py [--positioners 500] [--seconds 10] [--images 1] [--first] [--control]
 
 Idle first, then a move of everybody at 2000 rpm, both over TCP, on the machine as it is: the load average
 is part of the answer. Why ticks were not kept is told by cause (`fiberloom.twin.real_time.Lateness`), all of
 them and those that did not wait for another. With `--images` a third time, with one exposure after another of
 its Alpaca camera.
+
+With `--control` the move once more beside threads that compute nothing: one on each core, before the clock,
+that only sleep until every tick (`peers/idle_clock.c`, needs gcc and root). Their missed ticks are the
+machine's. A late tick counts as the machine's, too, if the thread of its core missed one meanwhile, or if it
+would have been kept without the time by which that thread was woken late.
 """
 
 from __future__ import annotations
@@ -13,27 +18,53 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+from peers.issue import compiled
 
 from fiberloom.bus import CanNetTransport, Client, WireTrajectory
 from fiberloom.metrology.sources.errors import CameraAborted
 from fiberloom.metrology.sources.spec import CameraSpec, open_source
 from fiberloom.twin.server.address import addresses_of
 from fiberloom.twin.server.server import device_count
+from fiberloom.units import TICK_S
 
 LISTEN, CAMERA = "127.0.0.1:19328", "127.0.0.1:19329"
 HOME, AWAY = (10.0, 170.0), (45.0, 175.0)  # alpha turns at 1935 rpm for 3.1 s
 
 
-def served(positioners: int, seconds: float, first: bool, camera: bool) -> subprocess.Popen:
-    options = ["--listen", LISTEN, "--positioners", str(positioners), "--stop-after", str(seconds), "--json"]
-    options += ["--first"] if first else []
-    options += ["--camera-listen", CAMERA] if camera else []
+CONTROL = Path(__file__).parent / "peers" / "idle_clock.c"
+
+
+@dataclass(frozen=True)
+class Served:
+    """How the twin is served."""
+
+    positioners: int
+    seconds: float
+    first: bool = False
+    exposure_s: float | None = None
+    """Of its camera, if there is one."""
+
+    @property
+    def lasts_s(self) -> float:
+        """Until the server stops."""
+        return self.seconds + 6.0
+
+
+def served(how: Served) -> subprocess.Popen:
+    options = ["--listen", LISTEN, "--positioners", str(how.positioners)]
+    options += ["--stop-after", str(how.lasts_s), "--json"]
+    options += ["--first"] if how.first else []
+    options += ["--camera-listen", CAMERA] if how.exposure_s is not None else []
     return subprocess.Popen([sys.executable, "-m", "fiberloom.cli", "twin", *options], stdout=subprocess.PIPE)
 
 
@@ -117,19 +148,65 @@ async def connected(hosts: list[str]) -> CanNetTransport:
     raise SystemExit("the server does not listen")
 
 
-def measure(
-    positioners: int, seconds: float, moving: bool, first: bool, exposure_s: float | None = None
-) -> dict:
-    server = served(positioners, seconds + 6.0, first, exposure_s is not None)
-    if exposure_s is None:
-        driven = asyncio.run(drive(positioners, seconds, moving))
+def measure(how: Served, moving: bool) -> dict:
+    """Serves, drives, and returns what the server says at its end."""
+    server = served(how)
+    if how.exposure_s is None:
+        driven = asyncio.run(drive(how.positioners, how.seconds, moving))
     else:
-        driven = asyncio.run(observed(positioners, seconds, exposure_s))
+        driven = asyncio.run(observed(how.positioners, how.seconds, how.exposure_s))
     out, _ = server.communicate()
     report = json.loads(out)
     keep = ("ticks", "resting", "share_kept", "p50_ms", "p99_ms", "worst_ms", "given_up_s")
-    keep += ("late_by_cause", "first_by_cause", "woken_ms", "computing_ms")
+    keep += ("late_by_cause", "first_by_cause", "woken_ms", "computing_ms", "late_ticks")
     return {k: report[k] for k in keep} | driven | {"load_average": report["load_average_1min"]}
+
+
+def beside_control(how: Served) -> dict:
+    """The move beside a thread on each core that computes nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        program = compiled(CONTROL.read_text(), [], Path(folder) / "idle_clock")
+        if program is None:
+            raise SystemExit("--control: needs gcc")
+        cores = sorted(os.sched_getaffinity(0))
+        command = [[str(program), str(core), str(how.lasts_s + 4.0)] for core in cores]
+        controls = [subprocess.Popen(c, stdout=subprocess.PIPE, text=True) for c in command]
+        result = measure(how, moving=True)
+        said = [control.communicate()[0] for control in controls]
+    if any(control.returncode for control in controls):
+        raise SystemExit("--control: the system allows no real-time priority; run as root")
+    return result | {"control": compared(result["late_ticks"], dict(zip(cores, said, strict=True)))}
+
+
+def compared(late_ticks: list[dict], said: dict[int, str]) -> dict:
+    """What the control threads missed, by core, and how many of the late ticks are the machine's."""
+    out, held = {}, {}
+    for core, text in said.items():
+        lines = [line.split() for line in text.splitlines()]
+        ticks, missed, worst_s = map(float, lines[-1][1:])
+        out[f"core {core}"] = {"ticks": ticks, "share_kept": 1.0 - missed / ticks, "worst_ms": 1e3 * worst_s}
+        held[core] = [(float(begin), float(end)) for _, begin, end in lines[:-1]]
+    by_machine = sum(is_machines(tick, held.get(tick["core"], [])) for tick in late_ticks)
+    return out | {"late_by_themselves": len(late_ticks), "of_them_the_machine": by_machine}
+
+
+def is_machines(tick: dict, held: list[tuple[float, float]]) -> bool:
+    """Was its core held for a tick meanwhile, or would it have been kept without the time so lost?"""
+    due_s, end_s = tick["due_s"], tick["due_s"] + 1e-3 * tick["late_ms"]
+    meanwhile = [(begin, end) for begin, end in held if end > due_s and begin < end_s]
+    lost_s = sum(min(end, end_s) - max(begin, due_s) for begin, end in meanwhile)
+    return any(end - begin >= TICK_S for begin, end in meanwhile) or end_s - lost_s <= due_s + TICK_S
+
+
+def show(name: str, result: dict) -> None:
+    """One line, and one for each tick that was late by itself."""
+    print(name, json.dumps({k: v for k, v in result.items() if k != "late_ticks"}))
+    for t in result["late_ticks"]:
+        print(
+            f"  at {t['due_s']:.4f} s {t['late_ms']:6.2f} ms, {t['cause']}, "
+            f"computed in {t['computing_ms']:.2f} ms, core {t['core']}, {t['frames']} frames, "
+            f"{t['single']} positioners not in lanes"
+        )
 
 
 def main() -> None:
@@ -137,17 +214,21 @@ def main() -> None:
     parser.add_argument("--positioners", type=int, default=500)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--first", action="store_true", help="as `fiberloom twin --first`")
+    parser.add_argument("--control", action="store_true", help="beside threads that compute nothing")
     parser.add_argument("--images", type=float, metavar="S", help="exposures of so many seconds")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    results = {}
+    how, results = Served(args.positioners, args.seconds, args.first), {}
     for name, moving in (("idle", False), ("moving", True)):
-        results[name] = measure(args.positioners, args.seconds, moving, args.first)
-        print(name, json.dumps(results[name]))
+        results[name] = measure(how, moving)
+        show(name, results[name])
+    if args.control:
+        results["moving, beside control"] = beside_control(how)
+        show("moving, beside control", results["moving, beside control"])
     if args.images is not None:
-        seen = measure(args.positioners, args.seconds, True, args.first, args.images)
+        seen = measure(replace(how, exposure_s=args.images), True)
         results["moving, images"] = seen
-        print("moving, images", json.dumps(seen))
+        show("moving, images", seen)
     if args.out:
         args.out.write_text(json.dumps(results, indent=2))
 

@@ -283,6 +283,15 @@ std::vector<double> spread_of(const Lateness &times) {
     return {times.quantile_s(0.5), times.quantile_s(0.99), times.worst_s()};
 }
 
+// (due s, late ms, computing ms, cause, core, heard, single) of each.
+nb::list late_ticks_of(const Pace &pace) {
+    nb::list found;
+    for (const LateTick &t : pace.ticks)
+        found.append(nb::make_tuple(t.due_s, 1e3 * t.late_s, 1e3 * t.computing_s,
+                                    late_names[static_cast<size_t>(t.cause)], t.core, t.heard, t.single));
+    return found;
+}
+
 Dict pace_of(const RealTime &real) {
     const Pace pace = real.pace();
     Dict d;
@@ -295,6 +304,7 @@ Dict pace_of(const RealTime &real) {
     d["given_up_s"] = pace.given_up_s;
     d["late_by_cause"] = by_cause(pace.late);
     d["first_by_cause"] = by_cause(pace.first);
+    d["late_ticks"] = late_ticks_of(pace);
     d["woken_s"] = spread_of(pace.woken);
     d["computing_s"] = spread_of(pace.computing);
     return d;
@@ -309,15 +319,15 @@ void real_time_post(RealTime &real,
 
 void bind_real_time(nb::module_ &m) {
     nb::class_<RealTime>(m, "RealTime", "A thread that computes each tick of a Twin when it is due.")
-        .def(nb::init<Twin &, double, int>(), nb::arg("twin"), nb::arg("speed"), nb::arg("wake_fd"),
-             nb::keep_alive<1, 2>())
+        .def(nb::init<Twin &, double, int, bool>(), nb::arg("twin"), nb::arg("speed"), nb::arg("wake_fd"),
+             nb::arg("first") = false, nb::keep_alive<1, 2>())
         .def("post", &real_time_post, nb::arg("frames"), "Frames (id, data, bus, tick).")
         .def("take", [](RealTime &r) { return listed(r.take()); })
         .def_prop_ro("tick_now", &RealTime::tick_now)
         .def("pace", &pace_of)
         .def("hold", &RealTime::hold, nb::call_guard<nb::gil_scoped_release>())
         .def("release", &RealTime::release)
-        .def("go_first", &RealTime::go_first)
+        .def_prop_ro("first", &RealTime::first)
         .def("stop", &RealTime::stop, nb::call_guard<nb::gil_scoped_release>());
 }
 

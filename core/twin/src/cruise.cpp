@@ -21,8 +21,7 @@ int64_t change_q30(const fl_profile_state_t &p) {
 }
 
 // The ticks of a landing before the one that reaches the target, as far as it is worth knowing.
-uint32_t landing_ticks(const fl_axis_t &a) {
-    constexpr uint32_t most = 64;
+uint32_t landing_ticks(const fl_axis_t &a, uint32_t most) {
     int32_t left_cnt = fl_abs_i32(fl_sub_i32(a.plan[a.leg].target_cnt, a.raw_cnt));
     for (uint32_t ticks = 0; ticks < most; ++ticks) {
         const int32_t step_cnt = fl_landing_step(left_cnt, a.law.landing_step_cnt);
@@ -45,11 +44,11 @@ const fl_leg_traits_t &leg_of(const fl_axis_t &a) { return fl_leg_traits[a.plan[
 
 bool settles(const fl_axis_t &a) { return (leg_of(a).traits & FL_LEG_SETTLES) != 0; }
 
-uint32_t cruise_ticks(const fl_axis_t &a) {
+uint32_t cruise_ticks(const fl_axis_t &a, uint32_t most) {
     if (!fl_axis_tracks(&a) || a.slowing) return 0;
     switch (leg_of(a).step) {
     case FL_STEP_LAND:
-        return landing_ticks(a);
+        return landing_ticks(a, most);
     case FL_STEP_STAY:
         return settling_ticks(a);
     case FL_STEP_PATH:

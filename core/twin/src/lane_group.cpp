@@ -74,10 +74,12 @@ void LaneGroup::tick(uint64_t tick) {
     if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
 }
 
-uint32_t LaneGroup::lanes_for(const Positioner &p) const {
+uint32_t LaneGroup::lanes_for(const Positioner &p, size_t i) const {
+    // all of a focal plane may begin to land in the same tick; they shall not all come back in one, too
+    const uint32_t most = lane_group_size + static_cast<uint32_t>(i);
     uint32_t ticks = UINT32_MAX;
     for (const fl_axis_t &a : p.firmware().axis)
-        if (!fl_axis_rests(&a)) ticks = std::min(ticks, cruise_ticks(a));
+        if (!fl_axis_rests(&a)) ticks = std::min(ticks, cruise_ticks(a, most));
     if (ticks < least_cruise_ticks || !p.may_cruise()) return 0;
     return std::min(ticks, quiet_ticks(p.firmware()));
 }
@@ -86,7 +88,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
     const Positioner &p = positioners_[i];
     const fl_axis_t *axes = p.firmware().axis;
     if (fl_axis_rests(&axes[FL_ALPHA]) && fl_axis_rests(&axes[FL_BETA])) return;
-    const uint32_t ticks = lanes_for(p);
+    const uint32_t ticks = lanes_for(p, i);
     if (ticks < least_cruise_ticks) return;
     const uint32_t bit = 1U << i;
     for (size_t axis = 0; axis < FL_AXES; ++axis) {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <memory>
 
 #include "fiberloom/twin/law_batch.hpp"
@@ -32,6 +33,9 @@ class LaneGroup {
         return bytes;
     }
 
+    // Positioners whose own firmware did the last tick of the group.
+    size_t single_ticks() const { return awake_ != 0 ? static_cast<size_t>(std::popcount(runs_)) : 0; }
+
     const Positioner *begin() const { return positioners_; }
     const Positioner *end() const { return positioners_ + count_; }
 
@@ -45,7 +49,7 @@ class LaneGroup {
     void tick_axis(int axis, uint64_t tick);
     // A positioner whose axes cruise or rest may leave its ticks to the lanes, until the tick `until`.
     void set_out(size_t i, uint64_t tick);
-    uint32_t lanes_for(const Positioner &p) const;
+    uint32_t lanes_for(const Positioner &p, size_t i) const;
     // Back again: alpha and beta have done the ticks before `tick`, and that one too if `done` says so.
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
     void look(int axis, LawBatch &batch) const;

@@ -19,6 +19,7 @@ namespace {
 constexpr double patience_s = 1.0;                    // further behind than this, time is given up
 constexpr std::chrono::milliseconds nap_time{50};     // while every positioner rests
 constexpr std::chrono::milliseconds telling_time{20}; // between two copies of the figures for others
+constexpr size_t most_late = 200;                     // late ticks that are told one by one
 constexpr uint64_t most_ticks = std::max<uint64_t>(4, sync_ticks); // of one go, when behind
 
 // Of this thread, as far as the system goes along: short turns, so that it is let in when it wakes up and
@@ -39,6 +40,23 @@ void ask_for_short_turns() {
         syscall(SYS_sched_setattr, 0, &turns, 0);
     }
     prctl(PR_SET_TIMERSLACK, 1UL);
+#endif
+}
+
+// This thread, before all ordinary programs; false where the system does not allow it.
+bool goes_first() {
+    sched_param low{};
+    low.sched_priority =
+        sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
+    return pthread_setschedparam(pthread_self(), SCHED_FIFO, &low) == 0;
+}
+
+// Where this thread runs.
+int core_now() {
+#ifdef __linux__
+    return sched_getcpu();
+#else
+    return -1;
 #endif
 }
 
@@ -75,11 +93,26 @@ double Lateness::quantile_s(double share) const {
     return worst_s_;
 }
 
-RealTime::RealTime(Twin &twin, double speed, int wake_fd)
+RealTime::RealTime(Twin &twin, double speed, int wake_fd, bool first)
     : twin_(twin), tick_(tick_s / speed), wake_fd_(wake_fd) {
-    const auto past = static_cast<double>(twin.tick()) * tick_;
+    pace_.ticks.reserve(most_late);
+    thread_ = std::thread([this, first] {
+        begin(first);
+        loop();
+    });
+    std::unique_lock lock(mutex_);
+    change_.wait(lock, [this] { return begun_; });
+}
+
+// Not before it has its priority: until then others may keep it from the core.
+void RealTime::begin(bool first) {
+    ask_for_short_turns();
+    first_ = first && goes_first();
+    const auto past = static_cast<double>(twin_.tick()) * tick_;
+    const std::lock_guard lock(mutex_);
     start_ = Clock::now() - std::chrono::duration_cast<Clock::duration>(past);
-    thread_ = std::thread([this] { loop(); });
+    begun_ = true;
+    change_.notify_all();
 }
 
 RealTime::~RealTime() { stop(); }
@@ -127,13 +160,6 @@ void RealTime::post(const std::vector<QueuedFrame> &frames) {
         }
     }
     change_.notify_all();
-}
-
-bool RealTime::go_first() {
-    sched_param low{};
-    low.sched_priority =
-        sched_get_priority_min(SCHED_FIFO) + 1; // the rest of this program may have the lowest
-    return pthread_setschedparam(thread_.native_handle(), SCHED_FIFO, &low) == 0;
 }
 
 std::vector<Reply> RealTime::take() {
@@ -198,6 +224,7 @@ void RealTime::deliver() {
     while (!agenda_.empty() && agenda_.top().queued.tick <= twin_.tick()) {
         twin_.send(agenda_.top().queued.frame, agenda_.top().queued.bus);
         agenda_.pop();
+        ++heard_;
     }
 }
 
@@ -219,6 +246,7 @@ void RealTime::compute(uint64_t ticks) {
         note(first, ticks, begin, end);
     else
         pace_.resting += ticks;
+    heard_ = 0;
     sent_.insert(sent_.end(), replies.begin(), replies.end());
 }
 
@@ -233,6 +261,11 @@ void RealTime::note(uint64_t first, uint64_t ticks, Clock::time_point begin, Clo
     else
         why = watch_.late(due(first), end, due(first + ticks) - due(first));
     pace_.first[static_cast<size_t>(why.cause)] += why.first;
+    const auto seconds = [](Clock::duration time) { return std::chrono::duration<double>(time).count(); };
+    if (why.first && pace_.ticks.size() < most_late)
+        pace_.ticks.push_back(
+            {seconds(due(first).time_since_epoch()), seconds(end - due(first)), each.count(), why.cause,
+             why.cause == LateCause::woken ? slept_on_ : core_now(), heard_, twin_.single_ticks()});
     for (uint64_t tick = first; tick < first + ticks; ++tick) {
         const bool kept = end <= due(tick + 1);
         pace_.busy.note(std::chrono::duration<double>(end - due(tick)).count(), kept);
@@ -245,6 +278,7 @@ void RealTime::rest() {
     deliver();
     const Clock::time_point next = due(twin_.tick());
     if (Clock::now() >= next) return;
+    slept_on_ = core_now();
     sleep_until(next);
     watch_.resumed(false);
     if (!twin_.resting()) pace_.woken.note(std::chrono::duration<double>(Clock::now() - next).count(), true);
@@ -271,7 +305,6 @@ void RealTime::park() {
 }
 
 void RealTime::loop() {
-    ask_for_short_turns();
     while (!stop_) {
         if (holders_ > 0) park();
         exchange(std::unique_lock(mutex_, std::try_to_lock));

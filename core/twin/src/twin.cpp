@@ -441,6 +441,12 @@ bool Twin::asleep(size_t i) const {
 }
 bool Twin::resting() const { return s_->quiet && !s_->any_awake(); }
 
+size_t Twin::single_ticks() const {
+    size_t sum = 0;
+    for (const LaneGroup &group : s_->lane_groups) sum += group.single_ticks();
+    return sum;
+}
+
 uint64_t Twin::ticks_skipped() const {
     uint64_t sum = 0;
     for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].skipped();

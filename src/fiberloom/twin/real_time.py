@@ -15,6 +15,24 @@ SPEEDS = 0.01, 100.0
 
 
 @dataclass(frozen=True)
+class LateTick:
+    """A tick that was not kept and did not have to wait for another."""
+
+    due_s: float
+    """When it was due, by `time.monotonic()`."""
+    late_ms: float
+    """From there to the end of its computation."""
+    computing_ms: float
+    cause: str
+    core: int
+    """On which it ended; if it was woken late, on which it slept. -1 where the system does not tell."""
+    frames: int
+    """Frames that came with it."""
+    single: int
+    """Positioners whose own firmware did the tick, since they did not cruise: they set out, turn or land."""
+
+
+@dataclass(frozen=True)
 class Lateness:
     """How well the clock was kept.
 
@@ -42,6 +60,8 @@ class Lateness:
     """By how much the thread was late when it had slept until a tick was due: half, 99 %, the worst."""
     computing_ms: tuple[float, float, float]
     """How long the computation of a tick took: half, 99 %, the longest."""
+    late_ticks: tuple[LateTick, ...]
+    """Of `first_by_cause`, one by one; the first 200."""
     given_up_s: float
     """Wall time by which the clock was set back because the twin had fallen behind by over a second."""
 
@@ -75,8 +95,8 @@ class RealTimeTwin:
         self._read_fd, self._write_fd = os.pipe()
         for fd in (self._read_fd, self._write_fd):
             os.set_blocking(fd, False)
-        self._real = _core.RealTime(twin._core, speed, self._write_fd)
-        if first and not self._real.go_first():
+        self._real = _core.RealTime(twin._core, speed, self._write_fd, first)
+        if first and not self._real.first:
             self.close()
             raise InputError("--first: the system does not allow it; run as root, or give CAP_SYS_NICE")
 
@@ -122,6 +142,7 @@ class RealTimeTwin:
             first_by_cause=p["first_by_cause"],
             woken_ms=_ms(p["woken_s"]),
             computing_ms=_ms(p["computing_s"]),
+            late_ticks=tuple(LateTick(*t) for t in p["late_ticks"]),
             given_up_s=p["given_up_s"],
         )
 

@@ -41,15 +41,27 @@ class Lateness {
     double worst_s_ = 0.0;
 };
 
+// A tick that was not kept and did not have to wait for another.
+struct LateTick {
+    double due_s;       // by the steady clock
+    double late_s;      // from there to the end of its computation
+    double computing_s; // what that took
+    LateCause cause;
+    int core;      // of the thread; where it slept, if it was woken late; -1: the system does not tell
+    size_t heard;  // frames that came with it
+    size_t single; // positioners whose own firmware did the tick: they set out, turn or land
+};
+
 // How the twin keeps up with the wall clock.
 struct Pace {
-    Lateness busy;         // ticks in which a positioner was awake
-    Lateness woken;        // by how much the thread was late, each time it had slept until a tick was due
-    Lateness computing;    // how long the computation of such ticks took, for each tick
-    LateCounts late{};     // of the busy ticks that were not kept, by `LateCause`
-    LateCounts first{};    // of them, those that did not have to wait for another one
-    uint64_t resting = 0;  // ticks that needed no computation: every positioner rested
-    double given_up_s = 0; // wall time by which the clock was set back, because it was too far behind
+    Lateness busy;      // ticks in which a positioner was awake
+    Lateness woken;     // by how much the thread was late, each time it had slept until a tick was due
+    Lateness computing; // how long the computation of such ticks took, for each tick
+    LateCounts late{};  // of the busy ticks that were not kept, by `LateCause`
+    LateCounts first{}; // of them, those that did not have to wait for another one
+    std::vector<LateTick> ticks; // those of `first`, one by one: the first most_late of them
+    uint64_t resting = 0;        // ticks that needed no computation: every positioner rested
+    double given_up_s = 0;       // wall time by which the clock was set back, because it was too far behind
 };
 
 // A frame that a bus is to carry, and the tick at which it arrives.
@@ -64,8 +76,9 @@ struct QueuedFrame {
 class RealTime {
   public:
     // speed: virtual seconds per second, above 0. wake_fd: gets a byte when frames wait to be taken; -1 for
-    // none.
-    RealTime(Twin &twin, double speed, int wake_fd);
+    // none. first: before all ordinary programs of this machine, where the system allows it. The clock starts
+    // when its thread does.
+    RealTime(Twin &twin, double speed, int wake_fd, bool first = false);
     ~RealTime();
     RealTime(const RealTime &) = delete;
     RealTime &operator=(const RealTime &) = delete;
@@ -73,8 +86,8 @@ class RealTime {
     // Frames for the buses, none before its tick nor before the next but one; those of one tick in the order
     // of their posting.
     void post(const std::vector<QueuedFrame> &frames);
-    // Before all ordinary programs of this machine, from now on; false where the system does not allow it.
-    bool go_first();
+    // Whether it runs before all ordinary programs of this machine.
+    bool first() const { return first_; }
     // What the positioners sent since the last call.
     std::vector<Reply> take();
     // The tick that the wall clock shows now.
@@ -98,6 +111,7 @@ class RealTime {
             return queued.tick != b.queued.tick ? queued.tick > b.queued.tick : order > b.order;
         }
     };
+    void begin(bool first);
     void loop();
     void nap();
     void park();
@@ -118,6 +132,8 @@ class RealTime {
     const std::chrono::duration<double> tick_;
     const int wake_fd_;
     std::atomic<Clock::time_point> start_; // of tick 0; moves when time is given up
+    bool first_ = false;                   // written before the clock starts
+    bool begun_ = false;                   // likewise, under the mutex
     std::atomic<bool> stop_{false};
     std::atomic<int> holders_{0};
 
@@ -127,6 +143,8 @@ class RealTime {
     Pace pace_;
     LateWatch watch_;
     Clock::time_point told_{}; // when pace_ was published
+    int slept_on_ = -1;        // the core whose timer was to wake it
+    size_t heard_ = 0;         // frames handed out since the last tick
 
     // what it shares, and looks at only when no other thread does
     mutable std::mutex mutex_;

@@ -105,6 +105,8 @@ class Twin {
     bool asleep(size_t positioner) const;
     // Nothing moves and no firmware has anything to do: time alone goes on.
     bool resting() const;
+    // Positioners whose own firmware did the last tick, because they did not cruise.
+    size_t single_ticks() const;
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;
     uint64_t ticks_run() const;
