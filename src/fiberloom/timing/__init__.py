@@ -1,13 +1,15 @@
 """Where the seconds of a command go: by its stages, and in each by kind of work.
 
 Functions that do such work are marked with `part`; modules that are read count as imports. Nothing is
-measured before `begin`: what passed until then counts as imports, too.
+measured before `begin`: what passed until then counts as imports, too. Stages have wall and processor
+seconds, parts have wall seconds: the twin and the camera compute in several threads.
 """
 
 from __future__ import annotations
 
 import builtins
 import functools
+import os
 import threading
 import time
 from collections import defaultdict
@@ -22,8 +24,14 @@ _OTHER, _IMPORTS = "other", "imports"
 _import = builtins.__import__
 
 
+def cpu_s() -> float:
+    """Processor seconds until now: user and system, of this process and of its children that have ended."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
 class Timings:
-    """Wall seconds of stages that follow each other, and of the parts in each.
+    """Wall and processor seconds of stages that follow each other, and wall seconds of the parts in each.
 
     What a part calls and is a part itself counts there alone; work in other threads counts where it is done.
     """
@@ -31,7 +39,9 @@ class Timings:
     def __init__(self, since_s: float) -> None:
         """`since_s`: when the first stage, the start, began; of ``time.perf_counter()``."""
         self._begun_s, self._stage, self._stage_s = since_s, "start", since_s
+        self._stage_cpu_s = 0.0  # what the interpreter took to start is the first stage's
         self._whole_s: dict[str, float] = defaultdict(float)
+        self._cpu_s: dict[str, float] = defaultdict(float)
         self._part_s: dict[tuple[str, str], float] = defaultdict(float)
         self._part_s[self._stage, _IMPORTS] = time.perf_counter() - since_s
         self._own = threading.local()
@@ -39,9 +49,10 @@ class Timings:
 
     def stage(self, name: str) -> None:
         """The next stage begins; one that has been there before goes on."""
-        now_s = time.perf_counter()
+        now_s, used_s = time.perf_counter(), cpu_s()
         self._whole_s[self._stage] += now_s - self._stage_s
-        self._stage, self._stage_s = name, now_s
+        self._cpu_s[self._stage] += used_s - self._stage_cpu_s
+        self._stage, self._stage_s, self._stage_cpu_s = name, now_s, used_s
 
     def enter(self, part: str) -> None:
         """A part begins in this thread."""
@@ -58,9 +69,11 @@ class Timings:
     def lines(self) -> list[str]:
         """One line for each stage, and one for all; ends the stage."""
         self.stage(self._stage)
-        out = [f"{s:7.1f} s  {stage}: {self._parts(stage, s)}" for stage, s in self._whole_s.items()]
-        all_s = sum(self._whole_s.values())
-        return [*out, f"{all_s:7.1f} s  in all, {time.process_time():.1f} CPU s"]
+        out = [
+            f"{_both(s, self._cpu_s[stage])}  {stage}: {self._parts(stage, s)}"
+            for stage, s in self._whole_s.items()
+        ]
+        return [*out, f"{_both(sum(self._whole_s.values()), sum(self._cpu_s.values()))}  in all"]
 
     def _parts(self, stage: str, whole_s: float) -> str:
         parts = {part: s for (at, part), s in self._part_s.items() if at == stage}
@@ -81,6 +94,10 @@ class Timings:
             with self._lock:
                 self._part_s[self._stage, running[-1]] += now_s - self._own.since_s
         self._own.since_s = now_s
+
+
+def _both(wall_s: float, used_s: float) -> str:
+    return f"{wall_s:7.1f} s {used_s:7.1f} CPU s"
 
 
 _timings: list[Timings] = []

@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 import sys
 import types
 
@@ -180,6 +181,17 @@ def test_numbers_as_people_read_them(value, text):
 
 
 # -- runs
+
+
+def test_a_figure_costs_what_its_processes_cost_too(figures, tmp_path, monkeypatch):
+    def hands_on(settings):
+        busy = "import time\nwhile time.process_time() < 0.5: pass"
+        subprocess.run([sys.executable, "-c", busy], check=True)
+        return FigureOutcome(quantities(), [], "as told")
+
+    monkeypatch.setattr(sys.modules["fiberloom.studies.paper.works"], "run", hands_on)
+    (part,) = reproduce([figures["19"]], tmp_path, Settings())
+    assert part.cpu_s >= 0.5
 
 
 def test_a_run_leaves_results_table_report_and_pictures(figures, tmp_path):

@@ -18,6 +18,7 @@ from fiberloom.studies.paper.parts import Part, keep, read_parts, write
 from fiberloom.studies.paper.registry import Figure
 from fiberloom.studies.paper.report import report_html
 from fiberloom.studies.paper.table import table_markdown
+from fiberloom.timing import cpu_s
 
 
 def reproduce(
@@ -34,9 +35,9 @@ def reproduce(
     parts = []
     for figure in figures:
         settings.say(f"{figure.heading}: {figure.title}")
-        started_s, cpu_s = time.monotonic(), time.process_time()
+        started_s, used_s = time.monotonic(), cpu_s()
         outcome = figure.run(settings)
-        took = {"seconds": time.monotonic() - started_s, "cpu_s": time.process_time() - cpu_s}
+        took = {"seconds": time.monotonic() - started_s, "cpu_s": cpu_s() - used_s}
         part = keep(figure, outcome, settings, out, **took)
         parts.append(part)
         write_all(out)
