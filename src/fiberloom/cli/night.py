@@ -148,7 +148,6 @@ async def _carried(
 ) -> NightEnd:
     from fiberloom.night.carry import carry_out
 
-    await setup.known.feel(setup.source, progress)
     return await carry_out(setup, store, resume, progress)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -70,10 +70,33 @@ async def carry_out(
         progress(f"night {book.id}" + (", resumed" if resume else ""))
         ended: list[NightEnd] = []
         with _ending(setup, book, ended):
+            await _asked(setup, book, progress)
             why = await _run(setup, book, held, progress)
             status = INTERRUPTED if setup.control.parked_by else FINISHED  # parked by a person: it may go on
             ended.append(NightEnd(book.id, status, why))
         return ended[0]
+
+
+async def _asked(setup: NightSetup, book: NightBook, progress: Callable[[str], None]) -> None:
+    """What the array tells before the first field: how warm it is, and which motors not to count on.
+
+    One plane is for all fields: motors are judged by the fewest moves that one of them has.
+    """
+    known = setup.known
+    moves = setup.read_queue().fewest_moves(known.plane.instrument.operation.corrections_max)
+    await known.ask(setup.source, progress, moves)
+    setup.array = replace(setup.array, plane=known.plane)  # those that the night leaves out come on top
+    if known.doubtful:
+        text = not_counted_on(known.doubtful)
+        progress(text)
+        now = last_time(book) or book.about.utc_start
+        await beside(book.raise_alarm, now, "not counted on", Severity.ADVICE, "array", text)
+
+
+def not_counted_on(doubtful: dict[int, str]) -> str:
+    """Which positioners get no target by their calibration, and why, in a line."""
+    named = "; ".join(f"{number} ({why})" for number, why in sorted(doubtful.items()))
+    return f"{len(doubtful)} positioners get no target, their calibration does not count on them: {named}"
 
 
 async def _run(setup: NightSetup, book: NightBook, held: HeldArray, progress: Callable[[str], None]) -> str:

@@ -147,6 +147,11 @@ class Queue(_Table):
             raise ValueError("begin: must be earlier than dawn")
         return self
 
+    def fewest_moves(self, corrections_max: int) -> int:
+        """Of a field, the blind one too; where a field does not say it, `corrections_max` more than that."""
+        told = (corrections_max if f.corrections is None else f.corrections for f in self.fields)
+        return 1 + min(told)
+
     def entry(self, name: str) -> FieldEntry | None:
         """A field by its id; None: it is not in the queue any more."""
         return next((entry for entry in self.fields if entry.id == name), None)

@@ -139,6 +139,7 @@ class FpgaClient:
         """`connect`: makes a connection; `tries` of it, with growing waits between them."""
         self._connect, self._tries = connect, tries
         self._stream: Stream | None = None
+        self._last_s = 0.0
         self._count = 0
         self.reconnected = 0
         """How often the connection was lost and made anew."""
@@ -166,8 +167,8 @@ class FpgaClient:
 
     @property
     def time_s(self) -> float:
-        """Of the connection's clock."""
-        return 0.0 if self._stream is None else self._stream.time_s
+        """Of the connection's clock; where there is none, when the last one was let go."""
+        return self._last_s if self._stream is None else self._stream.time_s
 
     async def sleep(self, duration_s: float) -> None:
         """Lets time pass, s."""
@@ -179,6 +180,7 @@ class FpgaClient:
 
     async def _drop(self) -> None:
         if self._stream is not None:
+            self._last_s = self._stream.time_s
             await self._stream.close()
         self._stream = None
 

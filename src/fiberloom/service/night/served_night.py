@@ -197,7 +197,6 @@ class ServedNight:
             control=NightControl(),
             begun=self._begun,
         )
-        await known.feel(field.source, self._progress)
         try:
             return _told(await carry_out(setup, self._opened(), resume, self._progress))
         finally:
