@@ -80,6 +80,7 @@ PathSet Planner::assemble() {
     for (const PositionerIndex i : goals_.places()) {
         if (!goals_.moves(i)) continue;
         positioner_of_.push_back(i);
+        if (!goals_.still(i)) goals_.hasten(i);
         robots.push_back(goals_.make_robot(i));
         if (goals_.still(i)) continue;
         bound = std::max(bound, robots.back().travel_steps());

@@ -83,6 +83,20 @@ def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, mos
     assert made.duration_s < most * bound_s(array.plane, *ends_deg)
 
 
+# On grids that were finer everywhere: 2.206, 1.874, 1.612 and 1.593. Alone 1131 and 1058 took as long.
+@pytest.mark.parametrize(("seed", "around"), [(991, 1131), (697, 1058), (49, 1131), (46, 1058)])
+def test_a_grid_is_finer_only_where_the_way_is_narrow(seed, around):
+    array = array_at(3.0)
+    centre = array.bodies.centre
+    near = np.flatnonzero(np.abs(centre - centre[array.bodies.row_of(around)]) < 40.0)
+    start_deg, goal_deg = (end[near] for end in array.ends_of(seed))
+    plane, settings = array.plane.select(near), PlanSettings(collision_buffer_mm=3.0)
+    made = plan(plane, start_deg, goal_deg, seed=seed, settings=settings)
+    assert made.refused == {}
+    assert verify(plane, made, start_deg=start_deg, goal_deg=goal_deg).ok
+    assert made.duration_s < 1.3 * bound_s(plane, start_deg, goal_deg)
+
+
 def test_what_holds_the_slowest_plan_up():
     """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.44 of its straight way.
     200 is in a pocket beside it, 689 and 1155 cross it.

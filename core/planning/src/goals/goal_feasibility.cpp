@@ -125,8 +125,9 @@ const AxisGrid &GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, d
                         alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
                         alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad};
     KnownGrid &known = alpha ? grids_[i].alpha : grids_[i].beta;
-    if (!(known.span == span) || known.step_rad != step_rad)
-        known = {span, step_rad, AxisGrid(span, step_rad)};
+    const FineLines &fine = alpha ? goals_[i].fine.alpha : goals_[i].fine.beta;
+    if (!(known.span == span) || known.step_rad != step_rad || !(known.fine == fine))
+        known = {span, step_rad, fine, AxisGrid(span, step_rad, fine)};
     return known.grid;
 }
 
@@ -144,6 +145,8 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) {
 
 bool GoalFeasibility::find_path_alone(PositionerIndex i) {
     Goal &goal = goals_[i];
+    goal.fine = {};
+    goal.hastened = false;
     for (goal.finer = 1; goal.finer <= finest; goal.finer *= 2) {
         for (const bool in_hand : {true, false}) {
             if (in_hand && goal.tight) continue;
@@ -366,6 +369,8 @@ bool GoalFeasibility::refine(PositionerIndex i) {
     Goal &goal = goals_[i];
     if (goal.finer >= finest) return false;
     goal.finer *= 2;
+    goal.fine = {};
+    goal.hastened = true;
     goal.steps_alone = make_robot(i).steps_alone();
     return true;
 }

@@ -34,6 +34,9 @@ class GoalFeasibility {
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
     // Makes the grid of a positioner twice as fine; false if it is as fine as grids are.
     bool refine(PositionerIndex i);
+    // One whose grid is finer everywhere moves at a part of its speed: gives it one that is finer only where
+    // its way is narrow, if the way past what does not move then takes fewer steps.
+    void hasten(PositionerIndex i);
     // From now on these and those around them keep nothing in hand; false: they have kept nothing.
     bool spend(const List<PositionerIndex> &tangled);
     // One for which the search has found no way, though it seemed to have one: it keeps nothing in hand;
@@ -41,23 +44,29 @@ class GoalFeasibility {
     void has_no_way(PositionerIndex i);
 
   private:
+    struct FineAxes {
+        FineLines alpha, beta;
+    };
     struct Goal {
         Angles angles;
-        Descent descent;      // to the angles
-        Legs legs;            // of the descent; of one that stays where it is: at rest
-        bool stuck = false;   // stays where it is whatever happens
-        bool still = false;   // is at its goal and need not move
-        bool settled = false; // the goal can be held
-        bool gone = false;    // given up, new place not chosen yet: blocks no other
-        int finer = 1;        // its grid is finer by this factor
-        bool in_hand = true;  // on its way it keeps more than it needs
-        bool tight = false;   // it may not: it would find no path past the others
+        Descent descent;       // to the angles
+        Legs legs;             // of the descent; of one that stays where it is: at rest
+        bool stuck = false;    // stays where it is whatever happens
+        bool still = false;    // is at its goal and need not move
+        bool settled = false;  // the goal can be held
+        bool gone = false;     // given up, new place not chosen yet: blocks no other
+        int finer = 1;         // its grid is finer by this factor ...
+        FineAxes fine;         // ... or only where it is narrow
+        bool hastened = false; // whether that has been looked for
+        bool in_hand = true;   // on its way it keeps more than it needs
+        bool tight = false;    // it may not: it would find no path past the others
         int steps_alone = 0;
     };
     // A grid as it was made last.
     struct KnownGrid {
         GridSpan span{};
         double step_rad = 0.0;
+        FineLines fine;
         AxisGrid grid;
     };
     struct KnownGrids {
@@ -115,6 +124,10 @@ class GoalFeasibility {
     List<Angles> reachable_places(PositionerIndex i);
     bool make_way(PositionerIndex i);
     bool make_room(PositionerIndex i);
+
+    // narrow_places.cpp
+    static FineAxes narrow_part(Robot &fine, Robot &wide, int parts);
+    void try_fine(PositionerIndex i, const FineAxes &fine);
 
     // approaches.cpp
     bool find_descent(PositionerIndex i);

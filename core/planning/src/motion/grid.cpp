@@ -9,12 +9,25 @@ namespace {
 // A remainder of the travel narrower than this part of a step gets no line of its own.
 constexpr double narrow = 0.25;
 
-void add_outside(List<double> &lines, double from, double step, double end) {
+// least: of a remainder that gets a line.
+void add_outside(List<double> &lines, double from, double step, double end, double least) {
     const double room = std::abs(end - from), side = end < from ? -1.0 : 1.0;
     if (side * (end - from) <= 0.0) return;
     const int n = static_cast<int>(std::floor(room / step));
     for (int i = 1; i <= n; ++i) lines.push_back(from + side * i * step);
-    if (room - n * step > narrow * step) lines.push_back(end);
+    if (room - n * step > least) lines.push_back(end);
+}
+
+// The same lines, and those that are closer together.
+List<double> with_fine(const List<double> &lines, const FineLines &fine) {
+    List<double> out;
+    for (int k = 0; k + 1 < lines.size(); ++k) {
+        const double from = lines[k], way = lines[k + 1] - from;
+        const int parts = lines[k + 1] > fine.low_rad && from < fine.high_rad ? fine.parts : 1;
+        for (int part = 0; part < parts; ++part) out.push_back(from + way * part / parts);
+    }
+    out.push_back(lines.back());
+    return out;
 }
 
 int find(const List<double> &lines, double value) {
@@ -23,7 +36,7 @@ int find(const List<double> &lines, double value) {
 
 } // namespace
 
-AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
+AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine) {
     zero_rad_ = span.zero_rad;
     const double way = span.goal_rad - span.start_rad;
     const int between = static_cast<int>(std::ceil(std::abs(way) / step_rad - 1e-9));
@@ -32,9 +45,12 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad) {
     if (way != 0.0) lines_.push_back(span.goal_rad);
     const double lower = std::min(span.start_rad, span.goal_rad);
     const double upper = std::max(span.start_rad, span.goal_rad);
-    add_outside(lines_, lower, step_rad, std::min(span.low_rad, lower));
-    add_outside(lines_, upper, step_rad, std::max(span.high_rad, upper));
+    const double low = std::min(span.low_rad, lower), high = std::max(span.high_rad, upper);
+    const double least = narrow * step_rad;
+    add_outside(lines_, lower, step_rad, low, fine.low_rad <= low ? least / fine.parts : least);
+    add_outside(lines_, upper, step_rad, high, fine.high_rad >= high ? least / fine.parts : least);
     std::sort(lines_.begin(), lines_.end());
+    if (fine.parts > 1) lines_ = with_fine(lines_, fine);
     start_ = find(lines_, span.start_rad);
     goal_ = find(lines_, span.goal_rad);
 

@@ -26,11 +26,20 @@ struct GridSpan {
     friend bool operator==(const GridSpan &, const GridSpan &) = default;
 };
 
+// Where lines are closer together than elsewhere: what is between two lines that reach into this range of
+// angles is cut into so many parts. An end of the travel in the range gets a line however near the last one
+// is (but for a remainder that a grid as fine as that everywhere would leave out).
+struct FineLines {
+    int parts = 1;
+    double low_rad = 0.0, high_rad = 0.0;
+    friend bool operator==(const FineLines &, const FineLines &) = default;
+};
+
 class AxisGrid {
   public:
     AxisGrid() = default;
     // Lines at most step_rad apart.
-    AxisGrid(const GridSpan &span, double step_rad);
+    AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine = {});
 
     int size() const { return lines_.size(); }
     int start() const { return start_; }

@@ -1,5 +1,6 @@
 #include "motion/robot.hpp"
 
+#include <algorithm>
 #include <utility>
 
 namespace fl::planning {
@@ -147,6 +148,26 @@ int Robot::steps_alone() {
     if (obstacles_.empty()) return travel_steps();
     if (!clear(start(), {}) || !clear(goal(), {})) return -1;
     return straight_is_clear() ? travel_steps() : flood(start(), goal()).steps[index(goal())];
+}
+
+List<Cell> Robot::way_alone() {
+    if (!clear(start(), {}) || !clear(goal(), {})) return {};
+    const List<int> steps = flood(start(), goal()).steps;
+    if (steps[index(goal())] < 0) return {};
+    List<Cell> way{goal()};
+    while (!(way.back() == start())) {
+        const Cell here = way.back();
+        for (int move = 0; move < 9; ++move) {
+            const Cell before{here.alpha + move % 3 - 1, here.beta + move / 3 - 1};
+            if (!inside(before) || steps[index(before)] != steps[index(here)] - 1 ||
+                !clear_move(before, here))
+                continue;
+            way.push_back(before);
+            break;
+        }
+    }
+    std::reverse(way.begin(), way.end());
+    return way;
 }
 
 const List<int> &Robot::steps_from(Cell end, List<int> &known) {

@@ -95,6 +95,8 @@ class Robot {
     bool clear(const SweptArm &swept) const;
     // Steps to the goal past the bodies at rest, with a stop at each cell; -1 if there is no path.
     int steps_alone();
+    // The cells of such a path, from the start to the goal; none if there is no path.
+    List<Cell> way_alone();
     // The same between each cell, by its index, and the goal, or the start; found once.
     const List<int> &steps_from_goal();
     const List<int> &steps_from_start();
