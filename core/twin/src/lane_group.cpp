@@ -71,7 +71,7 @@ void LaneGroup::tick(uint64_t tick) {
     if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
 }
 
-// Nobody has touched their firmware for long: it is asked for while others before them are taken out.
+// Their firmware has not been touched for long: it is asked for while the one before is taken out.
 void LaneGroup::take_out_due(uint64_t tick) {
     uint32_t due = 0;
     each(cruise_, [&](size_t i) { due |= static_cast<uint32_t>(until_[i] <= tick) << i; });

@@ -16,7 +16,6 @@ namespace fl::twin {
 namespace {
 
 constexpr double two_pi = 2.0 * std::numbers::pi;
-constexpr double node_step_rad = two_pi / nodes_per_turn;
 
 // cos and sin of a node angle times an order are entries of one table: no transcendental at run time.
 struct Circle {
@@ -85,14 +84,6 @@ double wear_at(const WearMarks &marks, double theta_rad) {
     return sum;
 }
 
-Cell between(int32_t index, Node lo, Node hi) {
-    const double width = hi.gear_rad - lo.gear_rad;
-    const double slope = (hi.backlash_rad - lo.backlash_rad) / width;
-    return {
-        index, lo, hi, node_step_rad * index, node_step_rad / width, lo.backlash_rad - slope * lo.gear_rad,
-        slope};
-}
-
 bool is_worn(const Transmission &t) {
     return std::any_of(t.wear.begin(), t.wear.end(), [](const Wear &w) { return w.height_rad != 0.0; });
 }
@@ -146,7 +137,7 @@ Node transmission_node(const Gear &gear, double gear_ratio, int32_t index) {
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index) {
     NodeBlock block;
     const Node lo = block.at(gear, gear_ratio, index);
-    return between(index, lo, block.at(gear, gear_ratio, index + 1));
+    return {index, lo, block.at(gear, gear_ratio, index + 1)};
 }
 
 Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeBlock &block) {
@@ -160,7 +151,7 @@ Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Ce
         hi = lo;
         lo = block.at(gear, gear_ratio, --index);
     }
-    return between(index, lo, hi);
+    return {index, lo, hi};
 }
 
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {
@@ -168,11 +159,11 @@ Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {
 }
 
 double gear_of_output(const Cell &cell, double output_rad) {
-    return cell.lo.gear_rad + (output_rad - cell.output_lo_rad) / cell.output_per_gear;
+    return cell.lo.gear_rad + (output_rad - cell.output_lo_rad()) / cell.output_per_gear();
 }
 
 double output_of_gear(const Cell &cell, double gear_rad) {
-    return cell.output_lo_rad + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear;
+    return cell.output_lo_rad() + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear();
 }
 
 const char *transmission_fault(const Transmission &t, double gear_ratio) {

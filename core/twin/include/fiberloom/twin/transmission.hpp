@@ -13,12 +13,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <numbers>
 
 #include "fiberloom/twin/plant_params.hpp"
 
 namespace fl::twin {
 
 inline constexpr int nodes_per_turn = 4096;
+inline constexpr double node_step_rad = 2.0 * std::numbers::pi / nodes_per_turn; // output angle
 
 // Cycles per output turn: eccentricities (1 to 3), the 36 tooth pairings of the last stage with
 // sidebands (teeth differ) and overtones (peaks are sharp), and an earlier stage, 36 x 5.66, with its own.
@@ -81,10 +83,13 @@ struct Node {
 struct Cell {
     int32_t index = 0; // node at its lower end, any turn
     Node lo, hi;
-    double output_lo_rad = 0.0;
-    double output_per_gear = 0.0; // d theta / d gear
-    double backlash_0_rad = 0.0;  // B = backlash_0 + backlash_1 gear
-    double backlash_1 = 0.0;
+
+    double output_lo_rad() const { return node_step_rad * index; }
+    double width_rad() const { return hi.gear_rad - lo.gear_rad; }
+    double output_per_gear() const { return node_step_rad / width_rad(); } // d theta / d gear
+    // B = backlash_0 + backlash_1 gear
+    double backlash_1() const { return (hi.backlash_rad - lo.backlash_rad) / width_rad(); }
+    double backlash_0_rad() const { return lo.backlash_rad - backlash_1() * lo.gear_rad; }
 };
 
 inline constexpr int32_t block_nodes = 8; // a turn has a whole number of blocks
