@@ -40,7 +40,7 @@ class Flash {
         if (found == all.end()) return;
         factory_ = &params;
         factory_at_ = static_cast<size_t>(found - all.begin());
-        cells_ = {};
+        cells_ = std::vector<Cell>(); // with its memory
         write(0, all.data(), all.size());
     }
     // Memory beside the object itself.

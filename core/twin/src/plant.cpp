@@ -140,12 +140,12 @@ void Plant::fetch(size_t axis) const {
     for (size_t at = 0; at < offsetof(Axis, params); at += line) __builtin_prefetch(begin + at, 1);
 }
 
-// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
+// Next to the end of a quad the amplitudes of the gear will soon be asked for: a node later, at least.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
     const Axis &a = axes_[axis];
-    const int32_t at = a.cell.index & (block_nodes - 1);
-    if (at != 0 && at != block_nodes - 3) return;
+    const int32_t at = a.cell.index & (quad_nodes - 1);
+    if (at != 0 && at != quad_nodes - 3) return;
     const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
     const size_t bytes = a.gear.wave_count() * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
@@ -194,8 +194,7 @@ double Plant::deflection_rad(size_t axis) const {
 double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + deflection_rad(axis); }
 
 double Plant::backlash_rad(size_t axis) const {
-    const Cell &cell = axes_[axis].cell;
-    return cell.backlash_0_rad() + cell.backlash_1() * lane(axis, &AxisGroup::gear_rad);
+    return axes_[axis].cell.backlash().at(lane(axis, &AxisGroup::gear_rad));
 }
 
 double Plant::speed_limit_rad_s(size_t axis) const {
@@ -232,7 +231,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
     axes_[axis].params = params;
-    axes_[axis].block = {};
+    axes_[axis].quad = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
@@ -243,7 +242,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].gear = Gear(transmission);
     set(axis, &AxisGroup::still, 0);
-    axes_[axis].block = {};
+    axes_[axis].quad = {};
     axes_[axis].cell = transmission_cell(axes_[axis].gear, params(axis).gear_ratio, axes_[axis].cell.index);
     seek_cell(axis, gear_rad);
     configure_stops(axis);
@@ -353,8 +352,9 @@ void Plant::configure_hall(size_t axis) {
 
 void Plant::load_cell(size_t axis) {
     const Cell &cell = axes_[axis].cell;
-    set(axis, &AxisGroup::backlash_0_rad, cell.backlash_0_rad());
-    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + cell.backlash_1()));
+    const Cell::Straight backlash = cell.backlash();
+    set(axis, &AxisGroup::backlash_0_rad, backlash.at_0_rad);
+    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + backlash.slope));
     set(axis, &AxisGroup::cell_lo_rad, cell.lo.gear_rad);
     set(axis, &AxisGroup::cell_hi_rad, cell.hi.gear_rad);
 }
@@ -362,7 +362,7 @@ void Plant::load_cell(size_t axis) {
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.block);
+    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.quad);
     load_cell(axis);
 }
 
@@ -373,7 +373,7 @@ void Plant::follow_cell(size_t axis) {
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
     const Cell &cell = axes_[axis].cell;
     const int32_t before = cell.index;
-    const double backlash_rad = cell.backlash_0_rad() + cell.backlash_1() * gear_rad;
+    const double backlash_rad = cell.backlash().at(gear_rad);
     const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
     seek_cell(axis, gear_rad);
     follow_seat(axis, cell.index - before);

@@ -154,9 +154,9 @@ class Plant {
         double geared_rad = 0.0; // where the gear had the arm of a slipping coupling
     };
     struct Axis {
-        // what a new cell asks for comes first, and most of the rest only with a new block
+        // what a new cell asks for comes first, and most of the rest only with new nodes
         Cell cell;
-        NodeBlock block;
+        NodeQuad quad;
         Seat seat;
         Gear gear;
         PlantParams params;
