@@ -169,7 +169,7 @@ evaluate_transmission(const Input1<double> &row, double gear_ratio, const Input1
     for (size_t i = 0; i < output_rad.size(); ++i) {
         const Cell cell = cell_of_output(gear, gear_ratio, output_rad.data()[i]);
         gear_rad.data()[i] = gear_of_output(cell, output_rad.data()[i]);
-        backlash.data()[i] = cell.backlash_0_rad + cell.backlash_1 * gear_rad.data()[i];
+        backlash.data()[i] = cell.backlash().at(gear_rad.data()[i]);
     }
     return {gear_rad, backlash};
 }

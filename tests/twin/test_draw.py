@@ -7,7 +7,7 @@ import pytest
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
-from fiberloom.twin import Twin, draw_units, worn
+from fiberloom.twin import Fault, Twin, draw_units, worn
 from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.units import ORDERS
 
@@ -161,7 +161,22 @@ def test_instruments_may_override_plant_parameters():
 def test_memory_per_positioner():
     """All that is the twin's own beside the firmware's state; what a law needs only where it is wanted."""
     twin = Twin(PLANE, UNITS, threads=1)
-    assert 4096 < twin._core.bytes_per_positioner < 5750
+    sound = twin._core.bytes_per_positioner
+    assert 4096 < sound < 5250
+    twin.inject(Fault("lying", int(PLANE.positioner_id[0])))
+    assert sound < twin._core.bytes_per_positioner < sound + 10
+
+
+def test_a_touch_takes_memory_while_it_lasts():
+    twin = Twin(PLANE, UNITS, threads=1)
+    twin.run(0.1)
+    free = twin._core.bytes_per_positioner
+    twin.set_external_torque(0, 0, 1e-5)
+    twin.run(0.1)
+    assert twin._core.bytes_per_positioner > free
+    twin.set_external_torque(0, 0, 0.0)
+    twin.run(0.1)
+    assert twin._core.bytes_per_positioner == free
 
 
 def test_wear_grows_is_local_and_moves_arms():

@@ -1,5 +1,7 @@
 #include "cruise.hpp"
 
+#include <algorithm>
+
 namespace fl::twin {
 namespace {
 
@@ -20,15 +22,12 @@ int64_t change_q30(const fl_profile_state_t &p) {
     return next > p.total_ticks - p.ramp_ticks ? -p.acceleration_q30 : 0;
 }
 
-// The ticks of a landing before the one that reaches the target, as far as it is worth knowing.
+// Ticks of a landing that do not reach the target, not all of them: no step is longer than the next one.
 uint32_t landing_ticks(const fl_axis_t &a, uint32_t most) {
-    int32_t left_cnt = fl_abs_i32(fl_sub_i32(a.plan[a.leg].target_cnt, a.raw_cnt));
-    for (uint32_t ticks = 0; ticks < most; ++ticks) {
-        const int32_t step_cnt = fl_landing_step(left_cnt, a.law.landing_step_cnt);
-        if (left_cnt <= step_cnt) return ticks;
-        left_cnt -= step_cnt;
-    }
-    return most;
+    const int32_t left_cnt = fl_abs_i32(fl_sub_i32(a.plan[a.leg].target_cnt, a.raw_cnt));
+    const int32_t step_cnt = fl_landing_step(left_cnt, a.law.landing_step_cnt);
+    if (left_cnt <= step_cnt) return 0;
+    return std::min(static_cast<uint32_t>((left_cnt - 1) / step_cnt), most);
 }
 
 // The lanes tell when the wait is over; not worth it where that may be soon.

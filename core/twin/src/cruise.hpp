@@ -15,7 +15,7 @@ inline constexpr uint32_t least_cruise_ticks = 16; // fewer are not worth the co
 bool settles(const fl_axis_t &a);
 
 // Ticks from now on in which the command moves by one rule: 0 where the axis does not track. `most`: of a
-// landing, whose end is found tick by tick.
+// landing.
 uint32_t cruise_ticks(const fl_axis_t &a, uint32_t most);
 
 // Configuration, state and command of an axis into a lane, for ticks from `tick` on; and back before `tick`,

@@ -1,5 +1,5 @@
-// The storage of a board in the twin: erased but for what was written. Few blocks ever are, and most of those
-// hold what lies elsewhere, too.
+// The storage of a board in the twin: erased, but for what was flashed at the factory and what was written.
+// Only what differs from these two takes memory.
 #pragma once
 
 #include <algorithm>
@@ -8,91 +8,84 @@
 #include <cstdint>
 #include <vector>
 
+#include "factory_params.hpp"
+
 namespace fl::twin {
 
 inline constexpr size_t storage_bytes = 4096;
 
 class Flash {
   public:
-    Flash() { place_.fill(erased); }
     // @pre offset + len <= storage_bytes, for both
     void read(size_t offset, uint8_t *bytes, size_t len) const {
-        each_block(offset, len, [&](size_t number, size_t at, size_t done, size_t n) {
-            if (place_[number] == erased)
-                std::fill_n(bytes + done, n, uint8_t{0xff});
-            else
-                std::copy_n(content(number) + at, n, bytes + done);
-        });
+        std::fill_n(bytes, len, uint8_t{0xff});
+        read_factory(offset, bytes, len);
+        for (const Cell &cell : cells_)
+            overlay(cell.number * cell_bytes, cell.bytes.data(), cell_bytes, offset, bytes, len);
     }
     void write(size_t offset, const uint8_t *bytes, size_t len) {
-        each_block(offset, len, [&](size_t number, size_t at, size_t done, size_t n) {
-            if (place_[number] == shared && std::equal(bytes + done, bytes + done + n, content(number) + at))
-                return;
-            std::copy_n(bytes + done, n, &block(number)[at]);
-        });
+        for (size_t done = 0, n = 0; done < len; done += n) {
+            const size_t at = (offset + done) % cell_bytes;
+            n = std::min(cell_bytes - at, len - done);
+            write_within((offset + done) / cell_bytes, at, bytes + done, n);
+        }
     }
-    // Blocks that lie within a copy of `image` need no memory of their own, until they are written anew.
-    // @pre the image, of `len` bytes, stays where and as it is
-    void share(const uint8_t *image, size_t len) {
+    // What lies within a copy of `params` needs no memory of its own, until it is written anew.
+    // @pre they stay where and as they are
+    void share(const FactoryParams &params) {
         std::array<uint8_t, storage_bytes> all;
         read(0, all.data(), all.size());
-        const auto found = std::search(all.begin(), all.end(), image, image + len);
+        const FactoryParams::Bytes image = params.bytes();
+        const auto found = std::search(all.begin(), all.end(), image.begin(), image.end());
         if (found == all.end()) return;
-        image_ = image;
-        image_at_ = static_cast<size_t>(found - all.begin());
-        const size_t first = (image_at_ + block_bytes - 1) / block_bytes;
-        const size_t end = (image_at_ + len) / block_bytes;
-        blocks_ = {};
-        std::array<uint8_t, storage_bytes / block_bytes> before = place_;
-        place_.fill(erased);
-        for (size_t number = 0; number < before.size(); ++number) {
-            if (number >= first && number < end)
-                place_[number] = shared;
-            else if (before[number] != erased)
-                std::copy_n(&all[number * block_bytes], block_bytes, block(number).begin());
-        }
+        factory_ = &params;
+        factory_at_ = static_cast<size_t>(found - all.begin());
+        cells_ = std::vector<Cell>(); // with its memory
+        write(0, all.data(), all.size());
     }
     // Memory beside the object itself.
-    size_t bytes() const { return blocks_.capacity() * block_bytes; }
+    size_t held_bytes() const { return cells_.capacity() * sizeof(Cell); }
 
   private:
-    static constexpr size_t block_bytes = 64;
-    static constexpr uint8_t erased = 0xff, shared = 0xfe;
-    using Block = std::array<uint8_t, block_bytes>;
+    static constexpr size_t cell_bytes = 16;
+    static_assert(storage_bytes / cell_bytes - 1 <= UINT8_MAX);
+    using Content = std::array<uint8_t, cell_bytes>;
+    // Of its own; others are as at the factory, or erased.
+    struct Cell {
+        uint8_t number;
+        Content bytes;
+    };
 
-    // Number of a block, where it begins in it, what is done before, and how many bytes there.
-    template <typename Do> static void each_block(size_t offset, size_t len, Do &&what) {
-        for (size_t done = 0, n = 0; done < len; done += n) {
-            const size_t at = (offset + done) % block_bytes;
-            n = std::min(block_bytes - at, len - done);
-            what((offset + done) / block_bytes, at, done, n);
-        }
+    // What both have of the storage, from the first, which begins at `from`, into the other.
+    static void overlay(size_t from, const uint8_t *source, size_t source_len, size_t offset, uint8_t *bytes,
+                        size_t len) {
+        const size_t begin = std::max(from, offset), end = std::min(from + source_len, offset + len);
+        if (begin < end) std::copy_n(source + (begin - from), end - begin, bytes + (begin - offset));
     }
-    // What a block holds that is not erased.
-    const uint8_t *content(size_t number) const {
-        return place_[number] == shared ? image_ + (number * block_bytes - image_at_)
-                                        : blocks_[place_[number]].data();
+    void read_factory(size_t offset, uint8_t *bytes, size_t len) const {
+        if (factory_ == nullptr || offset >= factory_at_ + FactoryParams::byte_count ||
+            offset + len <= factory_at_)
+            return;
+        const FactoryParams::Bytes image = factory_->bytes();
+        overlay(factory_at_, image.data(), image.size(), offset, bytes, len);
     }
-    // A block of its own, to be written.
-    Block &block(size_t number) {
-        uint8_t &place = place_[number];
-        if (place >= shared) {
-            Block filled;
-            if (place == shared)
-                std::copy_n(content(number), block_bytes, filled.begin());
-            else
-                filled.fill(0xff);
-            place = static_cast<uint8_t>(blocks_.size());
-            blocks_.reserve(blocks_.size() + 1); // no more than that: written once in a life
-            blocks_.push_back(filled);
+    // What would change nothing takes no memory.
+    void write_within(size_t number, size_t at, const uint8_t *bytes, size_t len) {
+        const auto same = [&](const Cell &cell) { return cell.number == number; };
+        auto found = std::find_if(cells_.begin(), cells_.end(), same);
+        if (found == cells_.end()) {
+            Cell now{static_cast<uint8_t>(number), {}};
+            read(number * cell_bytes, now.bytes.data(), cell_bytes);
+            if (std::equal(bytes, bytes + len, &now.bytes[at])) return;
+            cells_.reserve(cells_.size() + 1); // no more than that: written once in a life
+            found = cells_.insert(cells_.end(), now);
         }
-        return blocks_[place];
+        std::copy_n(bytes, len, &found->bytes[at]);
     }
 
-    std::array<uint8_t, storage_bytes / block_bytes> place_; // of each block, or erased
-    std::vector<Block> blocks_;
-    const uint8_t *image_ = nullptr; // of what is shared, and where in the storage it begins
-    size_t image_at_ = 0;
+    std::vector<Cell> cells_;
+    const FactoryParams *factory_ = nullptr; // of what is shared, and where in the storage it begins
+    size_t factory_at_ = 0;
 };
 
 } // namespace fl::twin

@@ -62,10 +62,7 @@ void LaneGroup::release(size_t i, uint64_t tick) {
 }
 
 void LaneGroup::tick(uint64_t tick) {
-    if (tick >= next_leave_)
-        each(cruise_, [&](size_t i) {
-            if (until_[i] <= tick) leave(i, tick, {false, false});
-        });
+    if (tick >= next_leave_) take_out_due(tick);
     runs_ = 0;
     each(awake_ & ~cruise_, [&](size_t i) {
         if (positioners_[i].begin_tick(tick)) runs_ |= 1U << i;
@@ -74,9 +71,23 @@ void LaneGroup::tick(uint64_t tick) {
     if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
 }
 
+// Their firmware has not been touched for long: it is asked for while the one before is taken out.
+void LaneGroup::take_out_due(uint64_t tick) {
+    uint32_t due = 0;
+    each(cruise_, [&](size_t i) { due |= static_cast<uint32_t>(until_[i] <= tick) << i; });
+    if (due == 0) return;
+    positioners_[std::countr_zero(due)].fetch();
+    for (uint32_t left = due; left != 0; left &= left - 1) {
+        const uint32_t after = left & (left - 1);
+        if (after != 0) positioners_[std::countr_zero(after)].fetch();
+        take_out(static_cast<size_t>(std::countr_zero(left)), tick, {false, false});
+    }
+    find_next();
+}
+
 uint32_t LaneGroup::lanes_for(const Positioner &p, size_t i) const {
     // all of a focal plane may begin to land in the same tick; they shall not all come back in one, too
-    const uint32_t most = lane_group_size + static_cast<uint32_t>(i);
+    const uint32_t most = 2 * lane_group_size + static_cast<uint32_t>(i);
     uint32_t ticks = UINT32_MAX;
     for (const fl_axis_t &a : p.firmware().axis)
         if (!fl_axis_rests(&a)) ticks = std::min(ticks, cruise_ticks(a, most));
@@ -95,7 +106,7 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
         if (fl_axis_rests(&axes[axis])) continue;
         LawBatch &b = batches_[axis];
         const int lane = static_cast<int>(i);
-        load(static_cast<int>(axis), lane, axes[axis].law);
+        if (!loaded_[axis][i]) load(static_cast<int>(axis), lane, axes[axis].law);
         load_state(b, lane, axes[axis].drive);
         load_way(b, lane, axes[axis], tick);
         cruise_axis_[axis] |= bit;
@@ -110,6 +121,21 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
 }
 
 void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
+    take_out(i, tick, done);
+    find_next();
+}
+
+// What those that are left want, and when the first of them must leave.
+void LaneGroup::find_next() {
+    for (size_t axis = 0; axis < FL_AXES; ++axis) {
+        laws_[axis] = 0;
+        each(cruise_axis_[axis], [&](size_t k) { laws_[axis] |= 1U << batches_[axis].law[k]; });
+    }
+    next_leave_ = UINT64_MAX;
+    each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, until_[k]); });
+}
+
+void LaneGroup::take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
     const uint32_t bit = 1U << i;
     Positioner &p = positioners_[i];
     for (size_t axis = 0; axis < FL_AXES; ++axis) {
@@ -128,14 +154,10 @@ void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
         cruise_axis_[axis] &= ~bit;
         heeds_[axis] &= ~bit;
         settles_[axis] &= ~bit;
-        laws_[axis] = 0;
-        each(cruise_axis_[axis], [&](size_t k) { laws_[axis] |= 1U << b.law[k]; });
     }
     cruise_ &= ~bit;
     const bool within = done[FL_ALPHA] || done[FL_BETA];
     p.count_ticks(static_cast<uint32_t>(tick - since_[i]) + (within ? 1 : 0), tick);
-    next_leave_ = UINT64_MAX;
-    each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, until_[k]); });
 }
 
 uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {

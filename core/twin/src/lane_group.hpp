@@ -52,6 +52,10 @@ class LaneGroup {
     uint32_t lanes_for(const Positioner &p, size_t i) const;
     // Back again: alpha and beta have done the ticks before `tick`, and that one too if `done` says so.
     void leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
+    // The same for one of several: find_next() when all are out.
+    void take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done);
+    void find_next();
+    void take_out_due(uint64_t tick);
     void look(int axis, LawBatch &batch) const;
     void drive(int axis, uint64_t tick, LawBatch &batch);
     void load(int axis, int lane, const fl_axis_law_t &law);

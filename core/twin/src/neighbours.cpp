@@ -34,6 +34,7 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
 }
 
 constexpr uint64_t longest_ticks = 256;
+constexpr double most_free_ticks = 1e9; // Near keeps 32 bits of a tick
 constexpr double um_per_mm = 1e3;
 
 // Whole micrometres of travels, modulo 2^32 of them: differences of up to two kilometres are right.
@@ -80,9 +81,9 @@ void Neighbours::find_speeds(const std::vector<Give> &gives) {
 }
 
 void Neighbours::add_near(size_t number) {
-    constexpr uint64_t most = (uint64_t{1} << Near::number_bits) - 1;
+    constexpr uint32_t most = (1U << Near::number_bits) - 1;
     if (number > most) throw std::invalid_argument("arms and obstacles: a million at most");
-    near_.push_back({0, 1, number & most, 0, 0.0f});
+    near_.push_back({0, 0, 1, static_cast<uint32_t>(number) & most, 0});
 }
 
 void Neighbours::find_neighbours() {
@@ -192,33 +193,35 @@ double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
         return static_cast<double>(static_cast<int32_t>(near.meet_um - um_above(travelled_mm))) / um_per_mm;
     const double apart_mm = touch(look, body(static_cast<uint32_t>(near.number), look.poses));
     near.meet_um = um_below(apart_mm + travelled_mm);
-    near.worth_mm = static_cast<float>(0.5 * apart_mm);
+    near.set_worth(0.5 * apart_mm);
     return apart_mm;
 }
 
 void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const {
     const double other_mm_s = near.number < arms_.size() ? speed_mm_s_[near.number] : 0.0;
     const double free_s = std::max(apart_mm, 0.0) / (speed_mm_s_[look.i] + other_mm_s);
-    const auto free_ticks = static_cast<uint64_t>(free_s / tick_s);
+    const auto free_ticks = static_cast<uint64_t>(std::min(free_s / tick_s, most_free_ticks));
     const bool touching = in_touch(look.now, static_cast<uint32_t>(near.number));
-    const bool close = touching || free_ticks < sync_ticks || apart_mm < static_cast<double>(near.worth_mm);
+    const bool close = touching || free_ticks < sync_ticks || apart_mm < near.worth_mm();
     near.exact = close ? 1 : 0;
-    constexpr uint64_t ticks = (uint64_t{1} << Near::tick_bits) - 1;
-    near.next_look = (touching ? tick + 1 : sync_after(tick, free_ticks)) & ticks;
+    near.next_look = static_cast<uint32_t>(touching ? tick + 1 : sync_after(tick, free_ticks));
 }
 
 Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm,
                       uint64_t tick, std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};
     Look look{i, poses, contacts, {}, {}};
+    const uint64_t first = next_look_[i];
     uint64_t next = UINT64_MAX, exact = UINT64_MAX;
     for (Near &near : near(i)) {
-        if (tick >= near.next_look) {
+        uint64_t look_tick = near.look_tick(first);
+        if (tick >= look_tick) {
             const double other_mm = near.number < arms_.size() ? travels_mm[near.number] : 0.0;
             plan_look(look, near, apart_mm(look, near, travels_mm[i] + other_mm), tick);
+            look_tick = near.look_tick(tick);
         }
-        next = std::min<uint64_t>(next, near.next_look);
-        if (near.exact != 0) exact = std::min<uint64_t>(exact, near.next_look);
+        next = std::min(next, look_tick);
+        if (near.exact != 0) exact = std::min(exact, look_tick);
     }
     next_look_[i] = next;
     next_exact_[i] = exact;

@@ -113,9 +113,11 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     }
 }
 
+const Plant::Broken Plant::whole;
+
 size_t Plant::bytes() const {
     size_t bytes = axes_.capacity() * sizeof(Axis) + groups_.capacity() * sizeof(AxisGroup);
-    for (const Axis &a : axes_) bytes += a.gear.bytes();
+    for (const Axis &a : axes_) bytes += a.gear.bytes() + (a.broken ? sizeof(Broken) : size_t{0});
     return bytes;
 }
 
@@ -138,12 +140,12 @@ void Plant::fetch(size_t axis) const {
     for (size_t at = 0; at < offsetof(Axis, params); at += line) __builtin_prefetch(begin + at, 1);
 }
 
-// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
+// Next to the end of a quad the amplitudes of the gear will soon be asked for: a node later, at least.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
     const Axis &a = axes_[axis];
-    const int32_t at = a.cell.index & (block_nodes - 1);
-    if (at != 0 && at != block_nodes - 3) return;
+    const int32_t at = a.cell.index & (quad_nodes - 1);
+    if (at != 0 && at != quad_nodes - 3) return;
     const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
     const size_t bytes = a.gear.wave_count() * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
@@ -155,7 +157,7 @@ double Plant::geared_rad(size_t axis) const {
 
 // The arm makes a share of the gear's way since the last tick; the rest is lost, and the stops with it.
 void Plant::slip(size_t axis) {
-    Axis &a = axes_[axis];
+    Broken &a = *axes_[axis].broken;
     const double way_rad = geared_rad(axis) - a.geared_rad;
     if (way_rad == 0.0) return;
     a.geared_rad += way_rad;
@@ -178,11 +180,11 @@ void Plant::set_state(size_t axis, double theta_rad, double momentum_Nms, double
 
 double Plant::output_at_rest_rad(size_t axis) const {
     const Axis &a = axes_[axis];
-    if (a.faults.lying) return a.held_rad;
+    if (broken(axis).faults.lying) return broken(axis).held_rad;
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double share = (gear_rad - a.cell.lo.gear_rad) / (a.cell.hi.gear_rad - a.cell.lo.gear_rad);
     const double seat_rad = a.seat.lo_rad + share * (a.seat.hi_rad - a.seat.lo_rad);
-    return output_of_gear(a.cell, gear_rad) + seat_rad + a.slip_rad;
+    return output_of_gear(a.cell, gear_rad) + seat_rad + broken(axis).slip_rad;
 }
 
 double Plant::deflection_rad(size_t axis) const {
@@ -192,8 +194,7 @@ double Plant::deflection_rad(size_t axis) const {
 double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + deflection_rad(axis); }
 
 double Plant::backlash_rad(size_t axis) const {
-    const Cell &cell = axes_[axis].cell;
-    return cell.backlash_0_rad + cell.backlash_1 * lane(axis, &AxisGroup::gear_rad);
+    return axes_[axis].cell.backlash().at(lane(axis, &AxisGroup::gear_rad));
 }
 
 double Plant::speed_limit_rad_s(size_t axis) const {
@@ -212,7 +213,10 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
 }
 
 void Plant::set_faults(size_t axis, AxisFaults faults) {
-    Axis &a = axes_[axis];
+    std::unique_ptr<Broken> &broken = axes_[axis].broken;
+    if (!broken && faults == AxisFaults{}) return;
+    if (!broken) broken = std::make_unique<Broken>();
+    Broken &a = *broken;
     if (faults.lying && !a.faults.lying) a.held_rad = output_at_rest_rad(axis);
     const bool caught = a.faults.lying && !faults.lying; // the coupling closes where the arm is
     a.faults = faults;
@@ -227,7 +231,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
     axes_[axis].params = params;
-    axes_[axis].block = {};
+    axes_[axis].quad = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
@@ -238,7 +242,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].gear = Gear(transmission);
     set(axis, &AxisGroup::still, 0);
-    axes_[axis].block = {};
+    axes_[axis].quad = {};
     axes_[axis].cell = transmission_cell(axes_[axis].gear, params(axis).gear_ratio, axes_[axis].cell.index);
     seek_cell(axis, gear_rad);
     configure_stops(axis);
@@ -269,7 +273,7 @@ void Plant::configure(size_t axis) {
 bool Plant::diodes_conduct(size_t axis) const {
     const PlantParams &p = params(axis);
     const double speed_rad_s = std::abs(lane(axis, &AxisGroup::p_Nms)) / p.inertia_motor;
-    return axes_[axis].faults.dead || p.flux_linkage * speed_rad_s > p.supply;
+    return broken(axis).faults.dead || p.flux_linkage * speed_rad_s > p.supply;
 }
 
 void Plant::switch_bridge(size_t axis, Bridge bridge) {
@@ -281,7 +285,7 @@ void Plant::switch_bridge(size_t axis, Bridge bridge) {
 
 void Plant::configure_drive(size_t axis) {
     const PlantParams &p = params(axis);
-    const bool driven = !axes_[axis].faults.dead && !axes_[axis].bridge.open;
+    const bool driven = !broken(axis).faults.dead && !axes_[axis].bridge.open;
     const double supply_V = driven ? p.supply : 0.0;
     set(axis, &AxisGroup::drive_scale_Nms,
         h_s_ * p.flux_linkage / p.coil_resistance * supply_V / p.pwm_steps);
@@ -306,7 +310,7 @@ void Plant::configure_gear(size_t axis) {
     const double free = 0.5 * h_s_ * (back_emf + p.viscous_motor) / p.inertia_motor;
     const double push = 0.5 * h_s_ * (back_emf + p.viscous_motor + p.viscous_gear) / inertia;
     set(axis, &AxisGroup::coulomb_motor_Nms,
-        h_s_ * (axes_[axis].faults.blocked ? blocked_Nm : p.coulomb_motor));
+        h_s_ * (broken(axis).faults.blocked ? blocked_Nm : p.coulomb_motor));
     set(axis, &AxisGroup::coulomb_gear_Nms, h_s_ * p.coulomb_gear);
     set(axis, &AxisGroup::load_1_Nms, -h_s_ * p.spring_rate / (p.gear_ratio * p.gear_ratio));
     set(axis, &AxisGroup::drag_free, free);
@@ -325,13 +329,15 @@ void Plant::configure_gear(size_t axis) {
 void Plant::configure_stops(size_t axis) {
     const Axis &a = axes_[axis];
     const PlantParams &p = params(axis);
+    const double slip_rad = broken(axis).slip_rad;
     const auto gear_at = [&](double theta) {
         return gear_of_output(cell_of_output(a.gear, p.gear_ratio, theta), theta);
     };
     const double series = 1.0 / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
-    set(axis, &AxisGroup::stop_lo_rad, gear_at(p.stop_min - a.slip_rad));
-    set(axis, &AxisGroup::stop_hi_rad, gear_at(p.stop_max - a.slip_rad));
-    set(axis, &AxisGroup::stop_Nms, a.faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio));
+    set(axis, &AxisGroup::stop_lo_rad, gear_at(p.stop_min - slip_rad));
+    set(axis, &AxisGroup::stop_hi_rad, gear_at(p.stop_max - slip_rad));
+    set(axis, &AxisGroup::stop_Nms,
+        broken(axis).faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio));
 }
 
 void Plant::configure_hall(size_t axis) {
@@ -346,8 +352,9 @@ void Plant::configure_hall(size_t axis) {
 
 void Plant::load_cell(size_t axis) {
     const Cell &cell = axes_[axis].cell;
-    set(axis, &AxisGroup::backlash_0_rad, cell.backlash_0_rad);
-    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + cell.backlash_1));
+    const Cell::Straight backlash = cell.backlash();
+    set(axis, &AxisGroup::backlash_0_rad, backlash.at_0_rad);
+    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + backlash.slope));
     set(axis, &AxisGroup::cell_lo_rad, cell.lo.gear_rad);
     set(axis, &AxisGroup::cell_hi_rad, cell.hi.gear_rad);
 }
@@ -355,7 +362,7 @@ void Plant::load_cell(size_t axis) {
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.block);
+    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.quad);
     load_cell(axis);
 }
 
@@ -366,7 +373,7 @@ void Plant::follow_cell(size_t axis) {
     const double theta_rad = lane(axis, &AxisGroup::theta_rad);
     const Cell &cell = axes_[axis].cell;
     const int32_t before = cell.index;
-    const double backlash_rad = cell.backlash_0_rad + cell.backlash_1 * gear_rad;
+    const double backlash_rad = cell.backlash().at(gear_rad);
     const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
     seek_cell(axis, gear_rad);
     follow_seat(axis, cell.index - before);
@@ -390,7 +397,7 @@ void Plant::follow_seat(size_t axis, int32_t nodes) {
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {
-    if (axes_[axis].faults.lying) return 0.0;
+    if (broken(axis).faults.lying) return 0.0;
     const PlantParams &p = params(axis);
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double over_rad = std::max(gear_rad - lane(axis, &AxisGroup::stop_hi_rad), 0.0) +

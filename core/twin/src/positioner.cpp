@@ -30,14 +30,17 @@ fl_port_t Positioner::port() {
             storage_read, storage_write, read_temperature, open_phases};
 }
 
-void Positioner::boot(uint16_t id, const fl_axis_params_t params[FL_AXES]) {
-    std::copy_n(params, FL_AXES, factory_);
+const PositionerFaults Positioner::sound;
+const Touching Positioner::untouched;
+
+void Positioner::boot(uint16_t id, const FactoryParams::Both &first, const fl_axis_params_t params[FL_AXES]) {
+    factory_.set(first, params);
     start(id);
 }
 
 void Positioner::start(uint16_t id) {
     const fl_port_t hardware = port();
-    fl_positioner_init(&firmware_, &hardware, id, factory_);
+    fl_positioner_init(&firmware_, &hardware, id, factory_.both().data());
 }
 
 void Positioner::deliver(const int32_t position_cnt[FL_AXES], const int32_t stop_cnt[FL_AXES]) {
@@ -47,7 +50,7 @@ void Positioner::deliver(const int32_t position_cnt[FL_AXES], const int32_t stop
     }
     fl_positioner_set_position(&firmware_, position_cnt);
     fl_storage_save(&firmware_);
-    storage_.share(reinterpret_cast<const uint8_t *>(factory_), sizeof factory_);
+    storage_.share(factory_);
 }
 
 void Positioner::power_cycle() {
@@ -65,7 +68,7 @@ void Positioner::power_up(const int turns[FL_AXES]) {
 }
 
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
-    if (faults.deaf) return;
+    if (faults().deaf) return;
     wake(tick);
     now_ = tick;
     if (!spoils_start(frame)) fl_positioner_receive(&firmware_, &frame);
@@ -73,10 +76,10 @@ void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
 
 bool Positioner::spoils_start(const fl_can_frame_t &frame) {
     fl_identifier_t id = fl_identifier_unpack(frame.id);
-    const bool spoilt = faults.at_start != AtStart::obeys && id.command == start_command &&
+    const bool spoilt = faults().at_start != AtStart::obeys && id.command == start_command &&
                         firmware_.state == FL_STATE_LOADED;
     if (!spoilt) return false;
-    const AtStart what = std::exchange(faults.at_start, AtStart::obeys);
+    const AtStart what = std::exchange(faults_->at_start, AtStart::obeys);
     if (what == AtStart::refuses) {
         id.positioner = firmware_.id;
         id.code = FL_INVALID_COMMAND;
@@ -170,7 +173,7 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
 void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
     uint16_t *last = last_hall_[axis];
     const int lane = lane_ + axis * lane_group_size;
-    if (!faults.stuck_hall[axis])
+    if (!faults().stuck_hall[axis])
         for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->hall_cnt[k][lane]);
     adc_cnt[0] = last[0];
     adc_cnt[1] = last[1];
@@ -193,7 +196,7 @@ void Positioner::open_phases(void *ctx, int axis) {
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     auto &p = *static_cast<Positioner *>(ctx);
-    if (!p.faults.mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
+    if (!p.faults().mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
     return true;
 }
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "factory_params.hpp"
 #include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/twin.hpp"
 #include "flash.hpp"
@@ -21,6 +22,20 @@ struct LastTouch { // by another body, now or lately
     uint64_t forget_tick; // never, while they touch
 };
 
+// What touches and pushes a positioner.
+struct Touching {
+    // torque of neighbours as last applied, and torque asked for from outside
+    Push push, user_push;
+    std::vector<Contact> contacts;
+    std::vector<LastTouch> touched;
+
+    bool over() const { return contacts.empty() && touched.empty() && push == Push{} && user_push == Push{}; }
+    size_t bytes() const {
+        return sizeof(Touching) + contacts.capacity() * sizeof(Contact) +
+               touched.capacity() * sizeof(LastTouch);
+    }
+};
+
 struct Outbox { // one per group of positioners: written by the thread that runs the group
     std::vector<Sent> frames;
     std::vector<Touch> touches;
@@ -35,8 +50,9 @@ class Positioner {
     // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
     // awake: a bit for each positioner of its group, of those that are not asleep.
     void attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake);
-    // params: flashed at the factory; what the storage holds goes before them.
-    void boot(uint16_t id, const fl_axis_params_t params[FL_AXES]);
+    // params: flashed at the factory, and those of the first unit, which stay where they are; what the
+    // storage holds goes before them.
+    void boot(uint16_t id, const FactoryParams::Both &first, const fl_axis_params_t params[FL_AXES]);
     // Back to what is flashed or stored: what was only set is gone.
     void power_cycle();
     // As delivered: it knows where it is and where its stops are, and has that in its storage.
@@ -56,7 +72,8 @@ class Positioner {
     void hall(int axis, uint16_t adc_cnt[2]);
     // Whether a host may do the ticks of its axes without asking it.
     bool may_cruise() const {
-        return !scoped() && !faults.stuck_hall[FL_ALPHA] && !faults.stuck_hall[FL_BETA];
+        const bool (&stuck)[FL_AXES] = faults().stuck_hall;
+        return !scoped() && !stuck[FL_ALPHA] && !stuck[FL_BETA];
     }
     // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
     void count_ticks(uint32_t ticks, uint64_t tick) {
@@ -84,7 +101,8 @@ class Positioner {
     fl_positioner_t &firmware() { return firmware_; }
     size_t index() const { return index_; }
     uint16_t id() const { return firmware_.id; }
-    PositionerFaults faults;
+    const PositionerFaults &faults() const { return faults_ ? *faults_ : sound; }
+    void set_faults(const PositionerFaults &faults) { faults_ = std::make_unique<PositionerFaults>(faults); }
     int bus = 0;
     uint32_t temperature_cnt = 1900; // of its sensor
 
@@ -92,19 +110,22 @@ class Positioner {
     std::vector<ScopeSample> take_scope(int axis);
     // Memory of its own, without the firmware's state and what scopes have recorded.
     size_t bytes() const {
-        return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.bytes() +
-               contacts.capacity() * sizeof(Contact) + touched.capacity() * sizeof(LastTouch) +
-               (loads != nullptr ? sizeof(ArmLoads) : size_t{0});
+        return sizeof(Positioner) - sizeof(fl_positioner_t) + storage_.held_bytes() + factory_.held_bytes() +
+               (touching ? touching->bytes() : size_t{0}) + (loads ? sizeof(ArmLoads) : size_t{0}) +
+               (faults_ ? sizeof(PositionerFaults) : size_t{0});
     }
     bool scoped() const { return scope_on_[FL_ALPHA] || scope_on_[FL_BETA]; }
     // A sample of each axis that a scope is on.
     void record(const Plant &plant, uint64_t tick);
 
-    // torque of neighbours as last applied, and torque asked for from outside
-    Push push, user_push;
-    std::unique_ptr<ArmLoads> loads; // none: nothing pulls at its arms
-    std::vector<Contact> contacts;
-    std::vector<LastTouch> touched;
+    std::unique_ptr<ArmLoads> loads;    // none: nothing pulls at its arms
+    std::unique_ptr<Touching> touching; // none: nothing touches it or pushes it
+    // What there is of that; nothing where nothing is.
+    const Touching &touch() const { return touching ? *touching : untouched; }
+    Touching &touch_now() {
+        if (!touching) touching = std::make_unique<Touching>();
+        return *touching;
+    }
 
   private:
     // True when the fault of this frame's START has taken the firmware's place.
@@ -122,7 +143,10 @@ class Positioner {
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};
-    fl_axis_params_t factory_[FL_AXES] = {};
+    static const PositionerFaults sound;
+    static const Touching untouched;
+    FactoryParams factory_;
+    std::unique_ptr<PositionerFaults> faults_; // none: sound
     Plant *plant_ = nullptr;
     AxisGroup *group_ = nullptr;
     int lane_ = 0; // of alpha; beta's is lane_group_size further

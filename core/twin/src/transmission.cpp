@@ -16,7 +16,6 @@ namespace fl::twin {
 namespace {
 
 constexpr double two_pi = 2.0 * std::numbers::pi;
-constexpr double node_step_rad = two_pi / nodes_per_turn;
 
 // cos and sin of a node angle times an order are entries of one table: no transcendental at run time.
 struct Circle {
@@ -38,11 +37,12 @@ Harmonic seen_from(const Harmonic &at, const Harmonic &wave) {
 
 // Four nodes at once; named, not in loops over memory, so that sums stay in registers.
 typedef double Quad __attribute__((vector_size(32)));
-constexpr size_t block_quads = block_nodes / 4;
+static_assert(sizeof(Quad) == quad_nodes * sizeof(double));
+constexpr size_t block_quads = block_nodes / quad_nodes;
 
-// Sums of both series at the nodes of a block: delta in output rad, backlash in motor rad without its mean.
+// Sums of both series at four nodes: delta in output rad, backlash in motor rad without its mean.
 struct Sums {
-    Quad delta_rad[block_quads] = {}, backlash_rad[block_quads] = {};
+    Quad delta_rad = {}, backlash_rad = {};
 };
 
 // Every order at the nodes of a block, counted from its first.
@@ -59,18 +59,16 @@ struct Within {
 };
 const Within within;
 
-FL_CLONES void series(const Gear &gear, int32_t first, Sums &out) {
+// Of quad `k` of the block that begins at node `first`.
+FL_CLONES void series(const Gear &gear, int32_t first, size_t k, Sums &out) {
     Sums sums;
     const Gear::Wave *wave = gear.waves.get();
     for (uint32_t left = gear.orders; left != 0; left &= left - 1, ++wave) {
         const auto i = static_cast<size_t>(__builtin_ctz(left));
         const Harmonic &at = circle.at(harmonic_orders[i] * first);
         const Harmonic delta = seen_from(at, wave->delta_rad), backlash = seen_from(at, wave->backlash_rad);
-#pragma GCC unroll 2
-        for (size_t k = 0; k < block_quads; ++k) {
-            sums.delta_rad[k] += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
-            sums.backlash_rad[k] += backlash.cos * within.cos[i][k] + backlash.sin * within.sin[i][k];
-        }
+        sums.delta_rad += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
+        sums.backlash_rad += backlash.cos * within.cos[i][k] + backlash.sin * within.sin[i][k];
     }
     out = sums;
 }
@@ -83,14 +81,6 @@ double wear_at(const WearMarks &marks, double theta_rad) {
             sum += w.height_rad * 0.5 * (1.0 + std::cos(two_pi * off / w.width_rad));
     }
     return sum;
-}
-
-Cell between(int32_t index, Node lo, Node hi) {
-    const double width = hi.gear_rad - lo.gear_rad;
-    const double slope = (hi.backlash_rad - lo.backlash_rad) / width;
-    return {
-        index, lo, hi, node_step_rad * index, node_step_rad / width, lo.backlash_rad - slope * lo.gear_rad,
-        slope};
 }
 
 bool is_worn(const Transmission &t) {
@@ -125,42 +115,42 @@ Gear::Gear(const Transmission &t)
     }
 }
 
-void NodeBlock::load(const Gear &gear, double gear_ratio, int32_t block) {
-    const int32_t first = block * block_nodes;
+void NodeQuad::load(const Gear &gear, double gear_ratio, int32_t quad) {
+    const int32_t first = quad * quad_nodes, in_block = first & (block_nodes - 1);
     Sums sums;
-    series(gear, first, sums);
-    for (int32_t k = 0; k < block_nodes; ++k) {
+    series(gear, first - in_block, static_cast<size_t>(in_block / quad_nodes), sums);
+    for (int32_t k = 0; k < quad_nodes; ++k) {
         const double theta = node_step_rad * (first + k);
-        const double delta = sums.delta_rad[k / 4][k % 4] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
+        const double delta = sums.delta_rad[k] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
         nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
-                                         gear.backlash_mean_rad + sums.backlash_rad[k / 4][k % 4]};
+                                         gear.backlash_mean_rad + sums.backlash_rad[k]};
     }
-    number = block;
+    number = quad;
 }
 
 Node transmission_node(const Gear &gear, double gear_ratio, int32_t index) {
-    NodeBlock block;
-    return block.at(gear, gear_ratio, index);
+    NodeQuad quad;
+    return quad.at(gear, gear_ratio, index);
 }
 
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index) {
-    NodeBlock block;
-    const Node lo = block.at(gear, gear_ratio, index);
-    return between(index, lo, block.at(gear, gear_ratio, index + 1));
+    NodeQuad quad;
+    const Node lo = quad.at(gear, gear_ratio, index);
+    return {index, lo, quad.at(gear, gear_ratio, index + 1)};
 }
 
-Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeBlock &block) {
+Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeQuad &quad) {
     int32_t index = near.index;
     Node lo = near.lo, hi = near.hi;
     while (gear_rad >= hi.gear_rad) {
         lo = hi;
-        hi = block.at(gear, gear_ratio, ++index + 1);
+        hi = quad.at(gear, gear_ratio, ++index + 1);
     }
     while (gear_rad < lo.gear_rad) {
         hi = lo;
-        lo = block.at(gear, gear_ratio, --index);
+        lo = quad.at(gear, gear_ratio, --index);
     }
-    return between(index, lo, hi);
+    return {index, lo, hi};
 }
 
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {
@@ -168,11 +158,11 @@ Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {
 }
 
 double gear_of_output(const Cell &cell, double output_rad) {
-    return cell.lo.gear_rad + (output_rad - cell.output_lo_rad) / cell.output_per_gear;
+    return cell.lo.gear_rad + (output_rad - cell.output_lo_rad()) / cell.output_per_gear();
 }
 
 double output_of_gear(const Cell &cell, double gear_rad) {
-    return cell.output_lo_rad + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear;
+    return cell.output_lo_rad() + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear();
 }
 
 const char *transmission_fault(const Transmission &t, double gear_ratio) {
@@ -181,10 +171,10 @@ const char *transmission_fault(const Transmission &t, double gear_ratio) {
     const int32_t first = is_worn(t) ? -2 * nodes_per_turn : 0;
     const int32_t last = is_worn(t) ? 2 * nodes_per_turn : nodes_per_turn;
     const Gear gear(t);
-    NodeBlock block;
-    Node lo = block.at(gear, gear_ratio, first);
+    NodeQuad quad;
+    Node lo = quad.at(gear, gear_ratio, first);
     for (int32_t i = first + 1; i <= last; ++i) {
-        const Node hi = block.at(gear, gear_ratio, i);
+        const Node hi = quad.at(gear, gear_ratio, i);
         if (hi.backlash_rad < 0.0) return "backlash is negative somewhere";
         if (!(hi.gear_rad > lo.gear_rad)) return "delta falls faster than the angle rises";
         if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))

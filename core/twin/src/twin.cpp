@@ -7,7 +7,6 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
-#include <unordered_map>
 #include <utility>
 
 #include "lane_group.hpp"
@@ -18,6 +17,8 @@ namespace {
 
 constexpr uint64_t lone_ticks = 32;   // of a slice where nothing meets: what a group needs stays in the cache
 constexpr uint64_t bounce_ticks = 80; // what comes back within 40 ms is the same contact
+constexpr size_t id_count = 2048;     // of a bus: 11 bits
+constexpr uint16_t no_index = UINT16_MAX;
 constexpr double two_pi = 2.0 * std::numbers::pi;
 constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
 
@@ -34,6 +35,12 @@ void check_sizes(const TwinSetup &s) {
     if (s.threads < 1 || s.threads > 256) throw std::invalid_argument("threads: 1 to 256");
     for (uint16_t id : s.ids)
         if (id < 1 || id > 2047) throw std::invalid_argument("positioner ids: 1 to 2047");
+}
+
+FactoryParams::Both params_of_first(const TwinSetup &s) {
+    FactoryParams::Both both{};
+    if (!s.params.empty()) std::copy_n(s.params.begin(), FL_AXES, both.begin());
+    return both;
 }
 
 std::vector<Give> gives_of(const Plant &plant) {
@@ -68,7 +75,7 @@ struct Twin::State {
     void run_group(size_t group, uint64_t ticks);
 
     void feel_group(size_t group);
-    bool touches(size_t i) const { return felt[i] != 0 && !positioners[i].contacts.empty(); }
+    bool touches(size_t i) const { return felt[i] != 0 && !positioners[i].touch().contacts.empty(); }
     bool in_contact(size_t group) const;
     bool pushes(size_t group);
 
@@ -106,10 +113,11 @@ struct Twin::State {
 
     Plant plant;
     size_t count;
+    const FactoryParams::Both first_params;    // of the first positioner: others tell what differs
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
     std::vector<LaneGroup> lane_groups;        // one per group of the plant
     std::vector<Outbox> outboxes;
-    std::unordered_map<uint32_t, size_t> index_of_id;
+    std::vector<uint16_t> index_of_id; // or no_index
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
@@ -135,8 +143,9 @@ struct Twin::State {
 
 Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
-      count(s.ids.size()), positioners(std::make_unique<Positioner[]>(count)),
-      lane_groups(plant.group_count()), outboxes(plant.group_count()),
+      count(s.ids.size()), first_params(params_of_first(s)),
+      positioners(std::make_unique<Positioner[]>(count)), lane_groups(plant.group_count()),
+      outboxes(plant.group_count()), index_of_id(id_count, no_index),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
       skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()), pushed(s.ids.size()),
       scoped(plant.group_count()), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
@@ -152,11 +161,13 @@ Twin::State::State(const TwinSetup &s)
 
 void Twin::State::boot(const TwinSetup &s) {
     for (size_t i = 0; i < s.ids.size(); ++i) {
-        if (!index_of_id.emplace(s.ids[i], i).second)
+        uint16_t &index = index_of_id[s.ids[i]];
+        if (index != no_index)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
+        index = static_cast<uint16_t>(i);
         Positioner &p = positioners[i];
         p.attach(plant, i, outboxes[i / lane_group_size], awake[i / lane_group_size]);
-        p.boot(s.ids[i], &s.params[2 * i]);
+        p.boot(s.ids[i], first_params, &s.params[2 * i]);
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
         const size_t first = g * lane_group_size;
@@ -198,7 +209,7 @@ bool Twin::State::pushes(size_t group) {
     bool any = false;
     for (size_t i = rows.begin; i < rows.end; ++i) {
         const Positioner &p = positioners[i];
-        const auto &contacts = p.contacts;
+        const auto &contacts = p.touch().contacts;
         pushed[i] = touches(i) && (!p.asleep() || std::any_of(contacts.begin(), contacts.end(), moves));
         any |= pushed[i] != 0;
     }
@@ -271,15 +282,20 @@ void Twin::State::publish(size_t i) {
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
     Positioner &p = positioners[i];
-    const Push push = neighbours.push(i, seen, travels_mm, now, p.contacts);
+    std::vector<Contact> contacts; // most have none, before and after
+    if (p.touching) contacts = std::move(p.touching->contacts);
+    const Push push = neighbours.push(i, seen, travels_mm, now, contacts);
+    if (!contacts.empty() || p.touching) p.touch_now().contacts = std::move(contacts);
     note_touches(i, outbox);
-    if (push != p.push) apply_torque(i, push);
-    felt[i] = !p.contacts.empty() || !p.touched.empty() || p.push != Push{};
+    if (push != p.touch().push) apply_torque(i, push);
+    const Touching &touch = p.touch();
+    felt[i] = !touch.contacts.empty() || !touch.touched.empty() || touch.push != Push{};
+    if (p.touching && p.touching->over()) p.touching.reset();
 }
 
 void Twin::State::note_touches(size_t i, Outbox &outbox) {
-    Positioner &p = positioners[i];
-    if (p.contacts.empty() && p.touched.empty()) return;
+    if (!positioners[i].touching) return;
+    Touching &p = *positioners[i].touching;
     for (LastTouch &t : p.touched) {
         if (in_touch(p.contacts, t.other))
             t.forget_tick = UINT64_MAX;
@@ -298,13 +314,14 @@ void Twin::State::note_touches(size_t i, Outbox &outbox) {
 void Twin::State::apply_torque(size_t i, const Push &push) {
     Positioner &p = positioners[i];
     next_travels_mm[i] += neighbours.farthest_mm(i);
-    p.push = push;
+    if (p.touching || push != Push{}) p.touch_now().push = push;
     p.wake(now); // the rotor may give way
     put_torque(i);
 }
 
 void Twin::State::put_torque(size_t i) {
     const Positioner &p = positioners[i];
+    const Touching &touch = p.touch();
     double load_Nm[FL_AXES] = {0.0, 0.0};
     if (p.loads) {
         const LoadTorque torque = p.loads->torque(gravity);
@@ -312,8 +329,8 @@ void Twin::State::put_torque(size_t i) {
         load_Nm[FL_BETA] = torque.beta_Nm;
     }
     for (size_t axis = 0; axis < FL_AXES; ++axis)
-        plant.set_external_torque(2 * i + axis,
-                                  p.push.torque_Nm[axis] + p.user_push.torque_Nm[axis] + load_Nm[axis]);
+        plant.set_external_torque(2 * i + axis, touch.push.torque_Nm[axis] + touch.user_push.torque_Nm[axis] +
+                                                    load_Nm[axis]);
 }
 
 Angles Twin::State::at_rest(size_t i) const {
@@ -408,8 +425,8 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
             if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
             s_->hear(i, frame, bus);
         }
-    } else if (const auto found = s_->index_of_id.find(id); found != s_->index_of_id.end()) {
-        s_->hear(found->second, frame, bus);
+    } else if (const uint16_t index = s_->index_of_id[id]; index != no_index) {
+        s_->hear(index, frame, bus);
     }
 }
 
@@ -462,20 +479,20 @@ uint64_t Twin::ticks_run() const {
 // The firmware's own state is a board's business.
 size_t Twin::bytes_per_positioner() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
-    size_t bytes = s_->plant.bytes() + s_->neighbours.bytes() + held(s_->lane_groups);
+    size_t bytes = sizeof(State) + s_->plant.bytes() + s_->neighbours.bytes() + held(s_->lane_groups);
     for (size_t i = 0; i < s_->count; ++i) bytes += s_->positioners[i].bytes();
     for (const LaneGroup &group : s_->lane_groups) bytes += group.bytes();
     bytes += held(s_->outboxes) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
              held(s_->next_travels_mm) + held(s_->gears_rad) + held(s_->felt) + held(s_->pushed);
-    constexpr size_t node = sizeof(std::pair<const uint32_t, size_t>) + sizeof(void *);
-    bytes += s_->count * node + s_->index_of_id.bucket_count() * sizeof(void *);
+    bytes += held(s_->awake) + held(s_->scoped) + held(s_->close) + held(s_->posed) + held(s_->turns) +
+             held(s_->index_of_id);
     return s_->count == 0 ? 0 : (bytes + s_->count - 1) / s_->count;
 }
 
 void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
     Positioner &p = s_->at(i);
-    p.user_push.torque_Nm[axis] = torque_Nm;
-    s_->apply_torque(i, p.push);
+    p.touch_now().user_push.torque_Nm[axis] = torque_Nm;
+    s_->apply_torque(i, p.touch().push);
 }
 
 void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {
@@ -484,24 +501,24 @@ void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {
     const Angles zero = {arm.alpha_off_rad, arm.beta_off_rad};
     p.loads = std::make_unique<ArmLoads>(alpha, beta, zero, s_->at_rest(i));
     s_->loaded = true;
-    s_->apply_torque(i, p.push);
+    s_->apply_torque(i, p.touch().push);
 }
 
 void Twin::point(Gravity gravity) {
     s_->gravity = gravity;
     for (size_t i = 0; i < s_->count; ++i)
-        if (s_->positioners[i].loads) s_->apply_torque(i, s_->positioners[i].push);
+        if (s_->positioners[i].loads) s_->apply_torque(i, s_->positioners[i].touch().push);
 }
 void Twin::set_temperature(size_t i, uint32_t counts) { s_->at(i).temperature_cnt = counts; }
 
 void Twin::set_faults(size_t i, const PositionerFaults &faults) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);
-    p.faults = faults;
+    p.set_faults(faults);
     for (size_t axis = 0; axis < FL_AXES; ++axis) s_->plant.set_faults(2 * i + axis, faults.axes[axis]);
 }
 
-const PositionerFaults &Twin::faults(size_t i) const { return s_->at(i).faults; }
+const PositionerFaults &Twin::faults(size_t i) const { return s_->at(i).faults(); }
 
 void Twin::set_transmission(size_t i, int axis, const Transmission &transmission) {
     s_->at(i).wake(s_->now);

@@ -2,6 +2,7 @@
 // does not move (fiducials, guide cameras).
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -121,16 +122,29 @@ class Neighbours {
         std::vector<Contact> now;
         Push push;
     };
-    // Of a pair, as one of the two keeps it: 16 bytes, for all pairs of a plane are gone through.
+    // Of a pair, as one of the two keeps it: 12 bytes, for all pairs of a plane are gone through.
     struct Near {
-        static constexpr int tick_bits = 43, number_bits = 20; // 140 years, a million
-        uint64_t next_look : tick_bits;                        // tick before which the two cannot touch
-        uint64_t exact : 1;                                    // by their poses then, else by their travels
-        uint64_t number : number_bits;                         // as in Touch
-        uint32_t meet_um; // they cannot until both have travelled so far, modulo 2^32
-        float worth_mm;   // nearer by their travels than this, another exact look pays
+        static constexpr int number_bits = 20, worth_bits = 11; // a million, 128 mm
+        static constexpr double worth_per_mm = 16.0;
+        uint32_t next_look;            // tick before which the two cannot touch, modulo 2^32
+        uint32_t meet_um;              // they cannot until both have travelled so far, modulo 2^32
+        uint32_t exact : 1;            // looked at by their poses then, else by their travels
+        uint32_t number : number_bits; // as in Touch
+        uint32_t worth : worth_bits;   // nearer by their travels than this, another exact look pays
+
+        // The tick of the next look. All pairs of a positioner are looked at from `first` on, none 24 days
+        // later.
+        uint64_t look_tick(uint64_t first) const {
+            return first + (next_look - static_cast<uint32_t>(first));
+        }
+        void set_worth(double mm) {
+            constexpr double most = (1U << worth_bits) - 1;
+            worth =
+                static_cast<uint32_t>(std::clamp(mm * worth_per_mm, 0.0, most)) & ((1U << worth_bits) - 1);
+        }
+        double worth_mm() const { return worth / worth_per_mm; }
     };
-    static_assert(sizeof(Near) == 16);
+    static_assert(sizeof(Near) == 12);
     // Those of positioner i.
     std::span<Near> near(size_t i) {
         return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "fiberloom/twin/axis_group.hpp"
@@ -26,6 +27,7 @@ struct AxisFaults {
     // share of the gear's way that the arm makes, towards larger and smaller angles (a slipping coupling)
     double follows_up = 1.0, follows_down = 1.0;
 
+    bool operator==(const AxisFaults &) const = default;
     // Whether the coupling slips in either direction.
     bool slips() const { return follows_up != 1.0 || follows_down != 1.0; }
 };
@@ -116,7 +118,7 @@ class Plant {
     // As last set.
     double external_torque_Nm(size_t axis) const { return axes_[axis].torque_Nm; }
     // As last set.
-    const AxisFaults &faults(size_t axis) const { return axes_[axis].faults; }
+    const AxisFaults &faults(size_t axis) const { return broken(axis).faults; }
     // Breaks or repairs an axis. An arm whose coupling closes again stays where it is.
     void set_faults(size_t axis, AxisFaults faults);
     // The gear wears: only at rest.
@@ -145,20 +147,25 @@ class Plant {
         bool open = false, floats = false;
         bool operator==(const Bridge &) const = default;
     };
-    struct Axis {
-        // what a new cell asks for comes first, and most of the rest only with a new block
-        Cell cell;
-        NodeBlock block;
-        Seat seat;
-        Gear gear;
-        PlantParams params;
+    struct Broken {
         AxisFaults faults;
-        Bridge bridge;
-        double torque_Nm = 0.0;
         double slip_rad = 0.0;   // arm against gear, left by an open coupling
         double held_rad = 0.0;   // where the arm is while the coupling is open
         double geared_rad = 0.0; // where the gear had the arm of a slipping coupling
     };
+    struct Axis {
+        // what a new cell asks for comes first, and most of the rest only with new nodes
+        Cell cell;
+        NodeQuad quad;
+        Seat seat;
+        Gear gear;
+        PlantParams params;
+        std::unique_ptr<Broken> broken; // none: nothing is or was
+        Bridge bridge;
+        double torque_Nm = 0.0;
+    };
+    static const Broken whole;
+    const Broken &broken(size_t axis) const { return axes_[axis].broken ? *axes_[axis].broken : whole; }
     template <class T> using Field = T (AxisGroup::*)[lane_count];
     AxisGroup &group_of(size_t axis) { return groups_[place(axis).group]; }
     template <class T> double lane(size_t axis, Field<T> f) const {

@@ -13,12 +13,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <numbers>
 
 #include "fiberloom/twin/plant_params.hpp"
 
 namespace fl::twin {
 
 inline constexpr int nodes_per_turn = 4096;
+inline constexpr double node_step_rad = 2.0 * std::numbers::pi / nodes_per_turn; // output angle
 
 // Cycles per output turn: eccentricities (1 to 3), the 36 tooth pairings of the last stage with
 // sidebands (teeth differ) and overtones (peaks are sharp), and an earlier stage, 36 x 5.66, with its own.
@@ -81,38 +83,49 @@ struct Node {
 struct Cell {
     int32_t index = 0; // node at its lower end, any turn
     Node lo, hi;
-    double output_lo_rad = 0.0;
-    double output_per_gear = 0.0; // d theta / d gear
-    double backlash_0_rad = 0.0;  // B = backlash_0 + backlash_1 gear
-    double backlash_1 = 0.0;
+
+    double output_lo_rad() const { return node_step_rad * index; }
+    double width_rad() const { return hi.gear_rad - lo.gear_rad; }
+    double output_per_gear() const { return node_step_rad / width_rad(); } // d theta / d gear
+    // B at any gear angle within.
+    struct Straight {
+        double at_0_rad, slope;
+        double at(double gear_rad) const { return at_0_rad + slope * gear_rad; }
+    };
+    Straight backlash() const {
+        const double slope = (hi.backlash_rad - lo.backlash_rad) / width_rad();
+        return {lo.backlash_rad - slope * lo.gear_rad, slope};
+    }
 };
 
 inline constexpr int32_t block_nodes = 8; // a turn has a whole number of blocks
+inline constexpr int32_t quad_nodes = 4;  // half of one
 
-// Nodes that follow each other, found together: an axis that goes along needs them in turn. The block decides
-// how their sums are rounded, so that a node is the same whatever was asked for before.
-struct NodeBlock {
-    int32_t number = INT32_MIN; // its first node is number * block_nodes
-    std::array<Node, block_nodes> nodes;
+// Nodes that follow each other, found together: an axis that goes along needs them in turn. The block in
+// which they lie decides how their sums are rounded, so that a node is the same whatever was asked for
+// before.
+struct NodeQuad {
+    int32_t number = INT32_MIN; // its first node is number * quad_nodes
+    std::array<Node, quad_nodes> nodes;
 
-    // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One block is for one gear.
+    // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One quad is for one gear.
     const Node &at(const Gear &gear, double gear_ratio, int32_t index) {
-        if (index >> block_shift != number) load(gear, gear_ratio, index >> block_shift);
-        return nodes[static_cast<size_t>(index & (block_nodes - 1))];
+        if (index >> quad_shift != number) load(gear, gear_ratio, index >> quad_shift);
+        return nodes[static_cast<size_t>(index & (quad_nodes - 1))];
     }
 
   private:
-    static constexpr int block_shift = 3;
-    static_assert(1 << block_shift == block_nodes);
-    void load(const Gear &gear, double gear_ratio, int32_t block);
+    static constexpr int quad_shift = 2;
+    static_assert(1 << quad_shift == quad_nodes);
+    void load(const Gear &gear, double gear_ratio, int32_t quad);
 };
 
 // One node, and the cell from it to the next.
 Node transmission_node(const Gear &gear, double gear_ratio, int32_t index);
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index);
 
-// The cell that holds a gear angle, sought from a cell of the same gear. `block` is of that gear.
-Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeBlock &block);
+// The cell that holds a gear angle, sought from a cell of the same gear. `quad` is of that gear.
+Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeQuad &quad);
 // The cell that holds an output angle.
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad);
 
