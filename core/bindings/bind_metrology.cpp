@@ -6,6 +6,13 @@
 
 #include <nanobind/stl/array.h>
 
+#include <cstdlib>
+#include <new>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 namespace {
 
 using namespace fl::metrology;
@@ -115,9 +122,25 @@ void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image
                  radius_q);
 }
 
+// An image whose every pixel is written by whoever asks for it: nothing is wiped first, and on Linux its
+// pages are large, so that the kernel hands out a 512th as many of them.
+Output<uint16_t, -1, -1> new_image(size_t rows, size_t columns) {
+    constexpr size_t page_bytes = size_t{2} << 20;
+    const size_t bytes = rows * columns * sizeof(uint16_t);
+    const bool large = bytes >= 2 * page_bytes;
+    const size_t whole = (bytes + page_bytes - 1) / page_bytes * page_bytes;
+    void *data = large ? std::aligned_alloc(page_bytes, whole) : std::malloc(bytes);
+    if (data == nullptr && bytes > 0) throw std::bad_alloc();
+#if defined(__linux__)
+    if (large) madvise(data, whole, MADV_HUGEPAGE); // where it is refused, pages are small
+#endif
+    nb::capsule owner(data, [](void *p) noexcept { std::free(p); });
+    return Output<uint16_t, -1, -1>(data, {rows, columns}, owner);
+}
+
 Output<uint16_t, -1, -1> expose_image(Input2<float> light, std::array<double, 3> sky,
                                       std::array<double, 4> detector, uint64_t seed, int threads) {
-    auto adu = new_array<uint16_t, -1, -1>({light.shape(0), light.shape(1)});
+    auto adu = new_image(light.shape(0), light.shape(1));
     const Exposure exposure{
         {sky[0], sky[1], sky[2]}, {detector[0], detector[1], detector[2], detector[3]}, seed, threads};
     {

@@ -9,7 +9,7 @@
 
 // Pixels may be computed by wider vectors where a machine has them, with the same bits.
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
-#define FL_CLONES __attribute__((target_clones("avx2", "default")))
+#define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
 #else
 #define FL_CLONES
 #endif
@@ -133,20 +133,34 @@ void expose_any(const Stretch &pixels, const Detector &detector, Random &random,
     }
 }
 
+// What falls on a row beside the light: at its first pixel, and more at each further one.
+struct Ground {
+    double level_e, slope_e;
+};
+
+// Mean electrons of a stretch from pixel `first` of its row on; whether all are bright.
+FL_CLONES bool mean_electrons(const float *light_e, Ground ground, std::int32_t first, Stretch &pixels) {
+    const std::int32_t count = static_cast<std::int32_t>(pixels.count);
+    std::int64_t faint = 0;
+    for (std::int32_t k = 0; k < count; ++k) {
+        const double mean_e = static_cast<double>(light_e[k]) + ground.level_e +
+                              ground.slope_e * static_cast<double>(first + k);
+        pixels.mean_e[k] = mean_e;
+        faint |= !(mean_e >= poisson_below_e);
+    }
+    return faint == 0;
+}
+
 // One row: its own random numbers, so that rows may be made in any order.
 void expose_row(std::span<const float> light_e, std::size_t j, const Exposure &exposure,
                 std::span<std::uint16_t> adu) {
     const Sky &sky = exposure.sky;
-    const double ground = sky.level_e + sky.slope_y_e * static_cast<double>(j);
+    const Ground ground{sky.level_e + sky.slope_y_e * static_cast<double>(j), sky.slope_x_e};
     Random random(exposure.seed + 0x632BE59BD9B4E019u * (j + 1));
     Stretch pixels{}; // what a short one leaves is computed, too
     for (std::size_t at = 0; at < light_e.size(); at += pixels.count) {
         pixels.count = std::min(stretch, light_e.size() - at);
-        for (std::size_t k = 0; k < pixels.count; ++k)
-            pixels.mean_e[k] =
-                static_cast<double>(light_e[at + k]) + ground + sky.slope_x_e * static_cast<double>(at + k);
-        const auto is_bright = [](double mean_e) { return mean_e >= poisson_below_e; };
-        if (!std::all_of(pixels.mean_e, pixels.mean_e + pixels.count, is_bright)) {
+        if (!mean_electrons(&light_e[at], ground, static_cast<std::int32_t>(at), pixels)) {
             expose_any(pixels, exposure.detector, random, &adu[at]);
             continue;
         }

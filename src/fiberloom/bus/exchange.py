@@ -21,6 +21,7 @@ from fiberloom.timing import part
 # A transport whose clock has not moved after this many empty receives will never reach a deadline.
 _STANDSTILL_LIMIT = 1000
 _COLLISION_DETECTED = int(Command.COLLISION_DETECTED)
+_COMMAND_AND_UID = 0xFF << 10 | MAX_UID << 4
 # A transport may count in ticks: less than this could be no time at all for it.
 _SHORTEST_WAIT_S = 1e-3
 # A task that begins to wait while another listens takes its turn after this time at the latest.
@@ -292,25 +293,23 @@ class Exchange:
 
     @part("bus")
     def _dispatch(self, frames: Sequence[Frame]) -> None:
-        pending = self._pending
+        pending, broadcasts = self._pending, {c << 10: waiter for c, waiter in self._broadcasts.items()}
+        broadcasts.pop(_COLLISION_DETECTED << 10, None)
         for frame in frames:
-            entry = pending.pop(frame[0] >> 4, None) if pending else None
-            if entry is None:
-                self._dispatch_other(frame)
+            number = frame[0]
+            waiter = broadcasts.get(number & _COMMAND_AND_UID)  # one of a broadcast has uid 0
+            if waiter is not None and 0 < number >> 18 <= MAX_POSITIONER:
+                waiter.take(number >> 18, frame)
+            elif (entry := pending.pop(number >> 4, None)) is not None:
+                entry[0].replies[entry[1]] = frame
+                entry[0].missing -= 1
             else:
-                waiter, row = entry
-                waiter.replies[row] = frame
-                waiter.missing -= 1
+                self._dispatch_other(frame)
 
     def _dispatch_other(self, frame: Frame) -> None:
-        """Replies to broadcasts, collisions, and frames that no request waits for."""
+        """A collision, or a frame that no request waits for."""
         number = frame[0]
-        positioner, command, uid = number >> 18, number >> 10 & 0xFF, number >> 4 & 0x3F
-        if not 0 < positioner <= MAX_POSITIONER:
-            self.strays += 1
-        elif command == _COLLISION_DETECTED:
+        if 0 < number >> 18 <= MAX_POSITIONER and number >> 10 & 0xFF == _COLLISION_DETECTED:
             self.on_unsolicited(decode(number), frame)
-        elif uid == 0 and (broadcast := self._broadcasts.get(command)) is not None:
-            broadcast.take(positioner, frame)
         else:
             self.strays += 1

@@ -20,6 +20,7 @@ from fiberloom.bus.outcome import Outcome, Result, Results, all_of
 from fiberloom.bus.protocol import Command, Status
 from fiberloom.bus.requests import POLL_TIMEOUT_S, Requests
 from fiberloom.bus.trajectory import WireTrajectory
+from fiberloom.timing import part
 
 RECONNECT_S = 15.0
 """So long after the planned end a link that is down may take to come back."""
@@ -161,28 +162,31 @@ class Arrivals:
         """The deadline is for those that answer; a silent one has its own number of polls."""
         return self._client.time_s >= deadline_s and self._active.isdisjoint(self._silent)
 
+    @part("bus")
     def _judge(self, answers: Results) -> None:
         """Books those whose motion has ended."""
-        collided, done = self._client.collided, Outcome.DONE
+        collided, done, ended = self._client.collided, Outcome.DONE, Results()
         for i, answer in answers.items():
             ok = answer.outcome is done
             bits = answer.values[0] if ok else 0
             if bits & _COLLIDED or i in collided:
-                self._book(Result(i, Outcome.COLLIDED))
+                ended[i] = Result(i, Outcome.COLLIDED)
             elif answer.outcome is Outcome.TIMED_OUT:
                 if self._silent_for_good(i):
-                    self._book(answer)
+                    ended[i] = answer
             elif not ok:
-                self._book(answer)
+                ended[i] = answer
             elif bits & _COMPLETED:
-                self._book(Result(i, Outcome.MISPLACED if bits & _LOST_WAY else done))
+                ended[i] = Result(i, Outcome.MISPLACED if bits & _LOST_WAY else done)
             else:
                 self._silent.pop(i, None)
+        self._book(ended)
 
-    def _book(self, result: Result) -> None:
-        self.results[result.positioner] = result
-        self._active.discard(result.positioner)
-        self._silent.pop(result.positioner, None)
+    def _book(self, ended: Results) -> None:
+        self.results.update(ended)
+        self._active.difference_update(ended)
+        for positioner in self._silent.keys() & ended.keys():
+            del self._silent[positioner]
 
     def _silent_for_good(self, positioner: int) -> bool:
         polls = self._silent.setdefault(positioner, [])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from enum import Enum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,10 @@ class Result(NamedTuple):
     def __str__(self) -> str:
         why = f" ({self.code.name})" if self.code else ""
         return f"positioner {self.positioner}: {self.outcome.value}{why}"
+
+
+_NEW = partial(tuple.__new__, Result)
+"""Of a tuple of all four: `Result(...)` in half the time; a sweep of 500 transmissions makes a million."""
 
 
 class Results(dict[int, Result]):
@@ -108,14 +113,14 @@ def results_of(
     layout, done, accepted = COMMANDS[command].layout, Outcome.DONE, Response.ACCEPTED
     least, unpack = layout.size, layout.unpack_from
     return [
-        # nearly all are so: half a million in a sweep of 500 transmissions
-        Result(i, done, accepted, unpack(reply[1]))
+        _NEW((i, done, accepted, unpack(reply[1])))  # nearly all are so
         if reply is not None and not reply[0] & 0xF and len(reply[1]) >= least
         else result_of(i, command, reply, i in lost)
         for i, reply in zip(positioners, replies, strict=True)
     ]
 
 
+@part("bus")
 def all_of(positioners: Iterable[int], outcome: Outcome) -> Results:
     """The same outcome for all."""
-    return Results({i: Result(i, outcome) for i in positioners})
+    return Results({i: _NEW((i, outcome, None, ())) for i in positioners})

@@ -144,6 +144,7 @@ def draw_units(
         number=plane.positioner_id.astype(np.int64),
     )
     nominal = [_nominal(plane, axis) for axis in (0, 1)]
+    told = [_told(plane, axis) for axis in (0, 1)]
     for row, number in enumerate(plane.positioner_id):
         rng = np.random.default_rng([seed, int(number)])
         units.arms[row] += ARM_SD * rng.standard_normal(5)
@@ -151,9 +152,9 @@ def draw_units(
             units.plant[row, axis] = _scatter(nominal[axis], rng)
             units.gear[row, axis] = draw_gear(axis, rng)
             # drawn whatever is asked for: the units are the same
-            units.firmware[row, axis] = _identified(units.plant[row, axis], plane, axis, rng)
+            units.firmware[row, axis] = _identified(units.plant[row, axis], told[axis], rng)
             if firmware == "true":
-                units.firmware[row, axis] = _perfect(units.plant[row, axis], plane, axis)
+                units.firmware[row, axis] = _perfect(units.plant[row, axis], told[axis])
     if (spectrum := gears or errors.gears) != "stages":
         units.gear[:] = other_gears(units.number, seed, spectrum)
     if firmware == "nominal":
@@ -267,7 +268,7 @@ def _tell(record: Records, known: Mapping[str, float]) -> None:
 
 def nominal_firmware(plane: FocalPlane) -> Records:
     """(2,) what a maker flashes into every unit: the nominal unit's parameters, and no unit's own."""
-    return np.array([_perfect(_nominal(plane, axis), plane, axis) for axis in (0, 1)], FIRMWARE_DTYPE)
+    return np.array([_perfect(_nominal(plane, axis), _told(plane, axis)) for axis in (0, 1)], FIRMWARE_DTYPE)
 
 
 def _told(plane: FocalPlane, axis: int) -> Records:
@@ -289,15 +290,15 @@ def _rotor_shares(nominal: Records) -> dict[str, float]:
     }
 
 
-def _perfect(plant: Records, plane: FocalPlane, axis: int) -> Records:
-    record = _told(plane, axis)
+def _perfect(plant: Records, told: Records) -> Records:
+    record = told.copy()
     _tell(record, firmware_truth(plant))
     _tell(record, control_gains(known_motor(record)))
     return record
 
 
-def _identified(plant: Records, plane: FocalPlane, axis: int, rng: Rng) -> Records:
-    record = _told(plane, axis)
+def _identified(plant: Records, told: Records, rng: Rng) -> Records:
+    record = told.copy()
     truth = firmware_truth(plant)
     for name, value in truth.items():
         error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * held(rng)

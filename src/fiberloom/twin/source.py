@@ -51,14 +51,13 @@ class TwinSource:
 
     @cached_property
     def units(self) -> Units:
-        """The true units."""
-        return draw_units(self.plane, self.seed, errors=self.errors)
+        """The true units in this night."""
+        return self.errors.temperature.applied(self.bench_units, self.plane)
 
     @cached_property
     def bench_units(self) -> Units:
         """The same at the temperature of the calibration."""
-        on_bench = self.errors.at_calibration()
-        return self.units if on_bench == self.errors else draw_units(self.plane, self.seed, errors=on_bench)
+        return draw_units(self.plane, self.seed, errors=self.errors.at_calibration())
 
     @cached_property
     def hardware(self) -> Hardware:
