@@ -26,7 +26,7 @@ from fiberloom.operation.safety.begin import (
 )
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.judge import Evidence
-from fiberloom.operation.safety.seen import where_seen
+from fiberloom.operation.safety.seen import LitAgain, is_there, where_seen
 from fiberloom.planning import Plan
 from fiberloom.typing import Flags, Floats
 
@@ -71,6 +71,7 @@ class FieldState:
         """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
+        self._lit = LitAgain(len(plane))
         self.here_deg = plane.offline_position_deg.copy()
         """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
         self.wire_deg = np.zeros((len(plane), 2))
@@ -172,15 +173,26 @@ class FieldState:
                 self.faults[i] = None
                 text = "answers again, and is where it reports"
                 self.recorder.event("answers", text, int(self.plane.positioner_id[i]))
-        for i, fault in enumerate(self.hearing.judged(evidence)):
+        judged = self.hearing.judged(evidence)
+        for i, fault in enumerate(judged):
             if fault is not None and self.faults[i] is None:
                 self.flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
+        well = image.seen & np.array([fault is None for fault in judged])
+        self._book_lit(well & is_there(image.xy_mm, evidence.reported_mm, allowed_mm))
         self._trust_the_camera(image)
         away = np.hypot(*(evidence.reported_mm - evidence.goal_mm).T) > self.model.astray_mm
         unfinished = np.array([outcome is not Outcome.DONE for outcome in asked])
         unfinished[back] = True  # the plan went round them
         again: Flags = self.mobile & (away | unfinished)
         return again
+
+    def _book_lit(self, there: Flags) -> None:
+        """Those that were dark and are seen again are well, and are corrected; the record keeps both."""
+        dark = np.array([fault is FibreStatus.DARK for fault in self.faults]) & ~self.unproven
+        for row in self._lit.rows(dark, there):
+            self.faults[row] = None
+            text = "its fibre is seen again, where it is believed to be"
+            self.recorder.event("seen again", text, int(self.plane.positioner_id[row]))
 
     def _told_by(self, image: Measurement) -> Measurement:
         """What faults are judged by: the image; of a blind drive where all are believed to be."""

@@ -3,6 +3,8 @@
 The inverse does not tell near a folded or stretched arm: some um inside of the reach there is no solution,
 and some um outside the elbow is millimetres away. But where the fibre is as far from the alpha axis as
 reported, alpha alone is off, and beta is as reported.
+
+And when a fibre that was dark is seen again: one image may show the spot of another, two in a row do not.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ SCATTER_MM = DriveTable().scatter_mm
 _SAME_RADIUS = 3.0 * SCATTER_MM
 _FOLDED = 0.2
 """Sine of beta, below which an image tells beta to half a degree and worse: 12 deg from either end."""
+SEEN_AGAIN = 2
+"""Images in a row, each after a move, that show a fibre where its positioner is believed to be."""
 
 
 def where_seen(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Floats) -> tuple[Floats, Flags]:
@@ -44,3 +48,23 @@ def _turned(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Floats
     alpha_deg -= 360.0 * np.floor((alpha_deg - low) / 360.0)  # from the lower stop on
     fits = (np.abs(np.hypot(*seen.T) - np.hypot(*reported.T)) <= _SAME_RADIUS) & (alpha_deg <= high)
     return np.column_stack([alpha_deg, reported_deg[:, 1]]), fits
+
+
+class LitAgain:
+    """Counts images of N dark fibres."""
+
+    def __init__(self, n: int) -> None:
+        self._images = np.zeros(n, dtype=np.int64)
+
+    def rows(self, dark: Flags, there: Flags) -> Ints:
+        """Those `dark` (N,) until now that are so no longer; an image has shown them `there` (N,)."""
+        self._images = np.where(dark & there, self._images + 1, 0)
+        return np.flatnonzero(self._images >= SEEN_AGAIN)
+
+
+def is_there(measured_mm: Floats, believed_mm: Floats, allowed_mm: Floats) -> Flags:
+    """(N,) fibres that an image shows within `allowed_mm` (N,) of `believed_mm` (N, 2).
+
+    `measured_mm` (N, 2): where it shows them; NaN where not seen.
+    """
+    return np.asarray(np.hypot(*(measured_mm - believed_mm).T) <= allowed_mm)
