@@ -393,7 +393,7 @@ std::vector<Reply> Twin::State::collect() {
     std::vector<Sent> all;
     for (Outbox &box : outboxes) {
         all.insert(all.end(), box.frames.begin(), box.frames.end());
-        box.frames.clear();
+        if (!box.frames.empty()) box.frames = std::vector<Sent>(); // few ticks have replies
     }
     std::stable_sort(all.begin(), all.end(), [](const Sent &a, const Sent &b) {
         return a.reply.tick != b.reply.tick ? a.reply.tick < b.reply.tick : a.sender < b.sender;
