@@ -169,8 +169,10 @@ def scale(numbers, seconds):
 
 
 def bytes_per_axis(plane, units):
-    """Of the twin, all that it holds; the firmware's own state is not in it."""
-    twin = Twin(plane, units, seed=1, threads=1)
+    """Of the twin in a move, all that it holds; the firmware's own state is not in it."""
+    twin = Twin(plane, units, seed=1, start_deg=APART, threads=1)
+    by_goto(twin, plane)
+    twin.run(0.4)
     return twin._core.bytes_per_positioner // 2
 
 

@@ -237,6 +237,7 @@ void bind_readings(nb::class_<Twin> &twin) {
                      "Memory of one positioner beside its firmware's state, before any log.")
         .def_prop_ro("tick", &Twin::tick)
         .def_prop_ro("ticks_run", &Twin::ticks_run)
+        .def_prop_ro("single_ticks", &Twin::single_ticks)
         .def_prop_ro("ticks_skipped", &Twin::ticks_skipped)
         .def_prop_ro("kernel", [](Twin &t) { return std::string(t.kernel_name()); });
 }

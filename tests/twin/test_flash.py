@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[2]
 AGAINST_PLAIN_MEMORY = """
 #include "flash.hpp"
 #include <cstdio>
+#include <cstring>
 #include <random>
 using namespace fl::twin;
 int main() {
@@ -21,7 +22,7 @@ int main() {
     own[1].k_p = -0.0f; // differs in its bits alone
     own[0].hall_phase = __builtin_nanf("");
     FactoryParams factory;
-    factory.set(first, own.data());
+    factory.set(first, own);
     const FactoryParams::Bytes image = factory.bytes();
     if (std::memcmp(image.data(), own.data(), image.size()) != 0) return 1;
 

@@ -4,15 +4,41 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
 
-#include "factory_params.hpp"
+#include "fiberloom/twin/differing.hpp"
+#include "fiberloom/twin/twin.hpp"
 
 namespace fl::twin {
 
 inline constexpr size_t storage_bytes = 4096;
+
+// The parameters that a positioner was flashed with at the factory.
+class FactoryParams {
+  public:
+    using Both = std::array<fl_axis_params_t, FL_AXES>;
+    static constexpr size_t byte_count = sizeof(Both);
+    using Bytes = std::array<uint8_t, byte_count>;
+
+    // `own`, told by what differs from those of the first unit.
+    // @pre first stays where and as it is
+    void set(const Both &first, const Both &own) {
+        first_ = &first;
+        differing_ = Differing<Both>(first, own);
+    }
+    // @pre they have been set
+    Both both() const { return differing_.with(*first_); }
+    Bytes bytes() const { return std::bit_cast<Bytes>(both()); }
+    // Memory beside the object itself.
+    size_t held_bytes() const { return differing_.held_bytes(); }
+
+  private:
+    const Both *first_ = nullptr;
+    Differing<Both> differing_;
+};
 
 class Flash {
   public:

@@ -100,11 +100,13 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
     if (units.size() != output_rad.size()) throw std::invalid_argument("one output angle for every axis");
     check_substeps(substeps);
     axes_.resize(units.size());
+    for (size_t axis = 0; axis < std::min<size_t>(units.size(), 2); ++axis)
+        first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
-        axes_[axis].params = units[axis].params;
+        axes_[axis].params = {first_params_[axis % 2], units[axis].params};
         axes_[axis].gear = Gear(units[axis].transmission);
         group_of(axis).noise_key[place(axis).lane] = noise_key(seed, axis);
         axes_[axis].seat.key = noise_key(~seed, axis);
@@ -117,7 +119,8 @@ const Plant::Broken Plant::whole;
 
 size_t Plant::bytes() const {
     size_t bytes = axes_.capacity() * sizeof(Axis) + groups_.capacity() * sizeof(AxisGroup);
-    for (const Axis &a : axes_) bytes += a.gear.bytes() + (a.broken ? sizeof(Broken) : size_t{0});
+    for (const Axis &a : axes_)
+        bytes += a.gear.bytes() + a.params.held_bytes() + (a.broken ? sizeof(Broken) : size_t{0});
     return bytes;
 }
 
@@ -188,7 +191,8 @@ double Plant::output_at_rest_rad(size_t axis) const {
 }
 
 double Plant::deflection_rad(size_t axis) const {
-    return (axes_[axis].torque_Nm + stop_torque_Nm(axis)) * compliance_rad_per_Nm(axis);
+    const double torque_Nm = axes_[axis].torque_Nm + stop_torque_Nm(axis);
+    return torque_Nm == 0.0 ? 0.0 : torque_Nm * compliance_rad_per_Nm(axis);
 }
 
 double Plant::output_rad(size_t axis) const { return output_at_rest_rad(axis) + deflection_rad(axis); }
@@ -198,7 +202,7 @@ double Plant::backlash_rad(size_t axis) const {
 }
 
 double Plant::speed_limit_rad_s(size_t axis) const {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     const double constant = p.flux_linkage / p.coil_resistance;
     const double torque_Nm = 1.5 * constant * p.supply + p.cogging_2 + p.cogging_4;
     return torque_Nm / (1.5 * constant * p.flux_linkage + p.viscous_motor);
@@ -207,7 +211,7 @@ double Plant::speed_limit_rad_s(size_t axis) const {
 void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
     set(axis, &AxisGroup::still, 0);
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     const double spring_Nm = p.spring_rate * p.spring_free;
     set(axis, &AxisGroup::load_0_Nms, h_s_ * (spring_Nm + torque_Nm) / p.gear_ratio);
 }
@@ -230,27 +234,29 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
-    axes_[axis].params = params;
+    axes_[axis].params = {first_params_[axis % 2], params};
     axes_[axis].quad = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
 
 void Plant::set_transmission(size_t axis, const Transmission &transmission) {
-    if (const char *fault = transmission_fault(transmission, params(axis).gear_ratio)) refuse(axis, fault);
+    if (const char *fault = transmission_fault(transmission, param(axis, &PlantParams::gear_ratio)))
+        refuse(axis, fault);
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].gear = Gear(transmission);
     set(axis, &AxisGroup::still, 0);
     axes_[axis].quad = {};
-    axes_[axis].cell = transmission_cell(axes_[axis].gear, params(axis).gear_ratio, axes_[axis].cell.index);
+    axes_[axis].cell =
+        transmission_cell(axes_[axis].gear, param(axis, &PlantParams::gear_ratio), axes_[axis].cell.index);
     seek_cell(axis, gear_rad);
     configure_stops(axis);
     if (positive) set(axis, &AxisGroup::theta_rad, gear_rad + backlash_rad(axis));
 }
 
 void Plant::put(size_t axis, double output_rad) {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     if (!(output_rad >= p.stop_min && output_rad <= p.stop_max))
         refuse(axis, "output angle " + std::to_string(output_rad) + " rad lies beyond the hard stops");
     Axis &a = axes_[axis];
@@ -271,7 +277,7 @@ void Plant::configure(size_t axis) {
 
 // The EMF between two phases of the delta is that of the coil between them, lambda omega at its peak.
 bool Plant::diodes_conduct(size_t axis) const {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     const double speed_rad_s = std::abs(lane(axis, &AxisGroup::p_Nms)) / p.inertia_motor;
     return broken(axis).faults.dead || p.flux_linkage * speed_rad_s > p.supply;
 }
@@ -284,7 +290,7 @@ void Plant::switch_bridge(size_t axis, Bridge bridge) {
 }
 
 void Plant::configure_drive(size_t axis) {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     const bool driven = !broken(axis).faults.dead && !axes_[axis].bridge.open;
     const double supply_V = driven ? p.supply : 0.0;
     set(axis, &AxisGroup::drive_scale_Nms,
@@ -293,7 +299,7 @@ void Plant::configure_drive(size_t axis) {
 }
 
 void Plant::configure_cogging(size_t axis) {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     set(axis, &AxisGroup::cog_2s_Nms, h_s_ * p.cogging_2 * std::cos(p.cogging_2_phase));
     set(axis, &AxisGroup::cog_2c_Nms, h_s_ * p.cogging_2 * std::sin(p.cogging_2_phase));
     set(axis, &AxisGroup::cog_4s_Nms, 2.0 * h_s_ * p.cogging_4 * std::cos(p.cogging_4_phase));
@@ -301,8 +307,7 @@ void Plant::configure_cogging(size_t axis) {
 }
 
 void Plant::configure_gear(size_t axis) {
-    const PlantParams &p = params(axis);
-    axes_[axis].seat.rms_rad = p.seat_rms;
+    const PlantParams p = params(axis);
     // in a closed bridge the coils are shorted at any duty; three sines around a delta add up to no current
     const double back_emf =
         axes_[axis].bridge.floats ? 0.0 : 1.5 * p.flux_linkage * p.flux_linkage / p.coil_resistance;
@@ -328,7 +333,7 @@ void Plant::configure_gear(size_t axis) {
 // A stop acts on the arm; seen from the gear it lies at T- of its angle, behind the gear's compliance.
 void Plant::configure_stops(size_t axis) {
     const Axis &a = axes_[axis];
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     const double slip_rad = broken(axis).slip_rad;
     const auto gear_at = [&](double theta) {
         return gear_of_output(cell_of_output(a.gear, p.gear_ratio, theta), theta);
@@ -341,7 +346,7 @@ void Plant::configure_stops(size_t axis) {
 }
 
 void Plant::configure_hall(size_t axis) {
-    const PlantParams &p = params(axis);
+    const PlantParams p = params(axis);
     set(axis, &AxisGroup::hall_offset_a, p.hall_offset_a);
     set(axis, &AxisGroup::hall_sin_a, p.hall_amplitude_a);
     set(axis, &AxisGroup::hall_offset_b, p.hall_offset_b);
@@ -362,7 +367,7 @@ void Plant::load_cell(size_t axis) {
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    a.cell = cell_of_gear(a.gear, a.params.gear_ratio, gear_rad, a.cell, a.quad);
+    a.cell = cell_of_gear(a.gear, param(axis, &PlantParams::gear_ratio), gear_rad, a.cell, a.quad);
     load_cell(axis);
 }
 
@@ -385,24 +390,25 @@ void Plant::follow_cell(size_t axis) {
 
 double Plant::next_seat(size_t axis, double from_rad) {
     Seat &seat = axes_[axis].seat;
-    return seat_memory * from_rad + seat_news * seat.rms_rad * bell(seat.key, seat.passes++);
+    const double rms_rad = param(axis, &PlantParams::seat_rms);
+    return seat_memory * from_rad + seat_news * rms_rad * bell(seat.key, seat.passes++);
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten.
 void Plant::follow_seat(size_t axis, int32_t nodes) {
     Seat &seat = axes_[axis].seat;
-    if (seat.rms_rad == 0.0) return;
+    if (param(axis, &PlantParams::seat_rms) == 0.0) return;
     for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next_seat(axis, seat.hi_rad));
     for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next_seat(axis, seat.lo_rad));
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {
     if (broken(axis).faults.lying) return 0.0;
-    const PlantParams &p = params(axis);
     const double gear_rad = lane(axis, &AxisGroup::gear_rad);
     const double over_rad = std::max(gear_rad - lane(axis, &AxisGroup::stop_hi_rad), 0.0) +
                             std::min(gear_rad - lane(axis, &AxisGroup::stop_lo_rad), 0.0);
     if (over_rad == 0.0) return 0.0;
+    const PlantParams p = params(axis);
     return -over_rad / p.gear_ratio / (1.0 / p.stiffness + 1.0 / p.stop_stiffness);
 }
 

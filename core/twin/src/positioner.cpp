@@ -34,7 +34,7 @@ const PositionerFaults Positioner::sound;
 const Touching Positioner::untouched;
 
 void Positioner::boot(uint16_t id, const FactoryParams::Both &first, const fl_axis_params_t params[FL_AXES]) {
-    factory_.set(first, params);
+    factory_.set(first, {params[FL_ALPHA], params[FL_BETA]});
     start(id);
 }
 

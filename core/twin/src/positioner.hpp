@@ -5,7 +5,6 @@
 #include <memory>
 #include <vector>
 
-#include "factory_params.hpp"
 #include "fiberloom/twin/loads.hpp"
 #include "fiberloom/twin/twin.hpp"
 #include "flash.hpp"

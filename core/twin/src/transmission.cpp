@@ -103,7 +103,7 @@ bool plainly_sound(const Transmission &t, double gear_ratio) {
 
 Gear::Gear(const Transmission &t)
     : backlash_mean_rad(t.backlash_mean_rad),
-      wear(is_worn(t) ? std::make_shared<const WearMarks>(t.wear) : nullptr) {
+      wear(is_worn(t) ? std::make_unique<const WearMarks>(t.wear) : nullptr) {
     const auto silent = [](const Harmonic &h) { return h.cos == 0.0 && h.sin == 0.0; };
     for (size_t i = 0; i < harmonic_count; ++i)
         if (!silent(t.delta_rad[i]) || !silent(t.backlash_rad[i])) orders |= 1U << i;

@@ -393,7 +393,7 @@ std::vector<Reply> Twin::State::collect() {
     std::vector<Sent> all;
     for (Outbox &box : outboxes) {
         all.insert(all.end(), box.frames.begin(), box.frames.end());
-        box.frames.clear();
+        if (!box.frames.empty()) box.frames = std::vector<Sent>(); // few ticks have replies
     }
     std::stable_sort(all.begin(), all.end(), [](const Sent &a, const Sent &b) {
         return a.reply.tick != b.reply.tick ? a.reply.tick < b.reply.tick : a.sender < b.sender;
@@ -482,6 +482,7 @@ size_t Twin::bytes_per_positioner() const {
     size_t bytes = sizeof(State) + s_->plant.bytes() + s_->neighbours.bytes() + held(s_->lane_groups);
     for (size_t i = 0; i < s_->count; ++i) bytes += s_->positioners[i].bytes();
     for (const LaneGroup &group : s_->lane_groups) bytes += group.bytes();
+    for (const Outbox &box : s_->outboxes) bytes += held(box.frames) + held(box.touches);
     bytes += held(s_->outboxes) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
              held(s_->next_travels_mm) + held(s_->gears_rad) + held(s_->felt) + held(s_->pushed);
     bytes += held(s_->awake) + held(s_->scoped) + held(s_->close) + held(s_->posed) + held(s_->turns) +

@@ -214,6 +214,9 @@ class Twin:
     def ticks_run(self) -> int: ...
 
     @property
+    def single_ticks(self) -> int: ...
+
+    @property
     def ticks_skipped(self) -> int: ...
 
     @property

@@ -77,6 +77,8 @@ def test_each_tick_is_counted_once():
     assert 0.0 < late.p50_ms <= late.p99_ms <= late.worst_ms
     assert sum(late.late_by_cause.values()) == late.ticks - late.kept
     assert all(late.first_by_cause[cause] <= n for cause, n in late.late_by_cause.items())
+    assert len(late.late_ticks) == min(sum(late.first_by_cause.values()), 200)
+    assert all(tick.late_ms > 0.05 for tick in late.late_ticks)  # a tick lasts so long at ten times the speed
 
 
 def test_a_clock_that_is_too_quick_for_the_computation_is_late_by_that():

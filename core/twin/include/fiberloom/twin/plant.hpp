@@ -2,12 +2,14 @@
 // counts and output angles out. docs/twin.md derives the model.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <vector>
 
 #include "fiberloom/twin/axis_group.hpp"
+#include "fiberloom/twin/differing.hpp"
 #include "fiberloom/twin/plant_params.hpp"
 #include "fiberloom/twin/transmission.hpp"
 
@@ -80,7 +82,11 @@ class Plant {
     // The lanes of a group.
     AxisGroup &group(size_t index) { return groups_[index]; }
     // The true parameters of an axis.
-    const PlantParams &params(size_t axis) const { return axes_[axis].params; }
+    PlantParams params(size_t axis) const { return axes_[axis].params.with(first_params_[axis % 2]); }
+    // One of them.
+    double param(size_t axis, double PlantParams::*name) const {
+        return axes_[axis].params.field(first_params_[axis % 2], name);
+    }
     // What tells whether a tick has changed anything.
     struct Rotor {
         double theta_rad = 0.0, momentum_Nms = 0.0, gear_rad = 0.0;
@@ -111,7 +117,7 @@ class Plant {
     // Of the rotor: nothing drives it faster.
     double speed_limit_rad_s(size_t axis) const;
     // Deflection of the output for a torque there, Eq. 5a.
-    double compliance_rad_per_Nm(size_t axis) const { return 1.0 / params(axis).stiffness; }
+    double compliance_rad_per_Nm(size_t axis) const { return 1.0 / param(axis, &PlantParams::stiffness); }
 
     // From outside, at the output, positive towards positive angles.
     void set_external_torque(size_t axis, double torque_Nm);
@@ -139,7 +145,6 @@ class Plant {
     // the travel of the gear, drawn anew at every node that is passed, straight in between.
     struct Seat {
         double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
-        double rms_rad = 0.0;
         uint32_t key = 0, passes = 0;
     };
     // Open: no switch conducts, the duties do not count. Floating: no diode does either.
@@ -159,7 +164,7 @@ class Plant {
         NodeQuad quad;
         Seat seat;
         Gear gear;
-        PlantParams params;
+        Differing<PlantParams> params;  // from those of the first axis of its kind
         std::unique_ptr<Broken> broken; // none: nothing is or was
         Bridge bridge;
         double torque_Nm = 0.0;
@@ -198,6 +203,7 @@ class Plant {
     const Kernel *kernel_;
     Substeps substeps_;
     double h_s_;
+    std::array<PlantParams, 2> first_params_; // of the first alpha and beta
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
     std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip

@@ -71,7 +71,7 @@ struct Gear {
     uint32_t orders = 0;                   // a bit for each of harmonic_orders that it has
     std::unique_ptr<Wave[]> waves;         // of each of them
     double backlash_mean_rad = 0.0;        // motor angle
-    std::shared_ptr<const WearMarks> wear; // none: not worn
+    std::unique_ptr<const WearMarks> wear; // none: not worn
 };
 
 // Gear angle T- and backlash B at a node, motor rad.
