@@ -22,7 +22,8 @@ export FIBERLOOM_CACHE := $(CURDIR)/.cache
 .PHONY: reproduce firmware-report wheels docs tutorial lint audit format inplace stubs lock clean figures coverage mutate
 
 help:
-	@echo "make run      set up, calibrate arms, fibres and sag of 500 positioners of the twin (kept), observe a field"
+	@echo "make run      set up, calibrate arms, fibres and sag of 500 positioners of the twin (kept), observe a field;"
+	@echo "              TIMINGS=--timings tells wall and processor seconds by stage"
 	@echo "make test     set up, then run the tests"
 	@echo "make check    firmware and core under sanitizers, fuzzed frames, 100 000 damaged files for the readers,"
 	@echo "              20 000 images of any bytes, allocation guard, 10 000 legal"
@@ -83,19 +84,19 @@ POINTING := --zenith 45 --rotator 0 --turn 90 --swing 10
 run: setup $(FIBRES) $(SAG)
 	@echo "7 of 7: a field of 500 positioners, 45 deg from the zenith; the rotator turns by 90 deg until the exposure"
 	$(BIN)/fiberloom observe examples/targets_sdssv.csv $(TWIN) $(POINTING) --arms $(ARMS) --fibres $(FIBRES) \
-	    --gravity $(SAG) --moves 3 --compare-linear --out runs/first
+	    --gravity $(SAG) --moves 3 --compare-linear $(TIMINGS) --out runs/first
 
 $(ARMS): $(STAMP)
 	@echo "4 of 7: where arms and fiducials are, 500 positioners; the first time transmissions are calibrated too"
-	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --rotator 360 --out $(@D)
+	$(BIN)/fiberloom calibrate focal-plane $(TWIN) --configurations 12 --rotator 360 $(TIMINGS) --out $(@D)
 
 $(FIBRES): $(ARMS)
 	@echo "5 of 7: where their science fibres are, by three fields of stars for each kind of fibre"
-	$(BIN)/fiberloom calibrate fibres $(TWIN) --arms $(ARMS) --out $(@D)
+	$(BIN)/fiberloom calibrate fibres $(TWIN) --arms $(ARMS) $(TIMINGS) --out $(@D)
 
 $(SAG): $(ARMS)
 	@echo "6 of 7: how arms sag, by images at six rotator angles in each of six configurations"
-	$(BIN)/fiberloom calibrate gravity $(TWIN) --arms $(ARMS) --out $(@D)
+	$(BIN)/fiberloom calibrate gravity $(TWIN) --arms $(ARMS) $(TIMINGS) --out $(@D)
 
 # A file to a worker: what its tests share is prepared once. At the end: what was left out, and what to install.
 test: setup

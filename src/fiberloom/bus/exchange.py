@@ -32,11 +32,12 @@ _CENSUS_ROUNDS = 10
 class _Waiter:
     """The replies to one bundle of unicast requests."""
 
-    __slots__ = ("missing", "replies")
+    __slots__ = ("keys", "missing", "replies")
 
     def __init__(self, count: int) -> None:
         self.replies: list[Frame | None] = [None] * count
         self.missing = count
+        self.keys: list[int] = []
 
 
 class _BroadcastWaiter:
@@ -107,44 +108,46 @@ class Exchange:
         """
         waiter = _Waiter(len(positioners))
         deadline_s = self.time_s + timeout_s
-        keys: list[int] = []
         try:
-            await self._send_all(waiter, keys, command, positioners, payloads, deadline_s)
+            await self._send_all(waiter, command, list(zip(positioners, payloads, strict=True)), deadline_s)
             await self.wait(lambda: waiter.missing == 0, deadline_s)
         finally:
-            for key in keys:
+            for key in waiter.keys:
                 if (entry := self._pending.get(key)) is not None and entry[0] is waiter:
                     del self._pending[key]
         return waiter.replies
 
     async def _send_all(
-        self,
-        waiter: _Waiter,
-        keys: list[int],
-        command: int,
-        positioners: Sequence[int],
-        payloads: Sequence[bytes],
-        deadline_s: float,
+        self, waiter: _Waiter, command: int, requests: Sequence[tuple[int, bytes]], deadline_s: float
     ) -> None:
-        frames: list[tuple[int, bytes]] = []
         self._see_links()
-        gone = self.cut_off(positioners)
-        for row, (positioner, payload) in enumerate(zip(positioners, payloads, strict=True)):
+        row = 0
+        while row < len(requests):
+            frames, row = self._numbered(waiter, command, requests, row)
+            await self._send(frames)
+            # 63 requests of one positioner in flight: those before it have gone out, now it needs a uid
+            if row < len(requests) and not await self._wait_for_key(command, requests[row][0], deadline_s):
+                break
+
+    @part("bus")
+    def _numbered(
+        self, waiter: _Waiter, command: int, requests: Sequence[tuple[int, bytes]], first: int
+    ) -> tuple[list[tuple[int, bytes]], int]:
+        """Frames from row `first` on, and the row to go on with: the first one that no uid is free for."""
+        frames: list[tuple[int, bytes]] = []
+        gone = self.cut_off(positioner for positioner, _ in requests)
+        for row in range(first, len(requests)):
+            positioner, payload = requests[row]
             if positioner in gone:
                 waiter.missing -= 1
                 continue
             key = self._free_key(command, positioner)
-            if key is None:  # 63 requests in flight: these go out, then we wait for a uid
-                await self._send(frames)
-                frames = []
-                key = await self._wait_for_key(command, positioner, deadline_s)
-                gone = self.cut_off(positioners)
             if key is None:
-                break
+                return frames, row
             self._pending[key] = (waiter, row)
-            keys.append(key)
+            waiter.keys.append(key)
             frames.append((key << 4, payload))
-        await self._send(frames)
+        return frames, len(requests)
 
     def _free_key(self, command: int, positioner: int) -> int | None:
         """The next unused uid of this command and positioner, as identifier >> 4."""
@@ -159,14 +162,12 @@ class Exchange:
                 return base | uid
         return None
 
-    async def _wait_for_key(self, command: int, positioner: int, deadline_s: float) -> int | None:
+    async def _wait_for_key(self, command: int, positioner: int, deadline_s: float) -> bool:
+        """Until one is free; False where none was in time."""
         base = positioner << 14 | command << 6
-
-        def one_is_free() -> bool:
-            return any(base | uid not in self._pending for uid in range(1, MAX_UID + 1))
-
-        await self.wait(one_is_free, deadline_s)
-        return self._free_key(command, positioner) if one_is_free() else None
+        return await self.wait(
+            lambda: any(base | uid not in self._pending for uid in range(1, MAX_UID + 1)), deadline_s
+        )
 
     async def broadcast(
         self,

@@ -214,10 +214,18 @@ class _Followers:
     async def look(self, ids: set[int]) -> list[Deviation]:
         """Polls these; what is new."""
         self.answers = await self._client.poll(ids)
-        early = [i for i in ids if self._at_rest_early(i)]
+        early = self._early(ids)
         if early:
             await self._client.sleep(CONFIRM_S)
             self.answers.update(await self._client.poll(early))
+        return self._deviations(ids)
+
+    @part("bus")
+    def _early(self, ids: set[int]) -> list[int]:
+        return [i for i in ids if self._at_rest_early(i)]
+
+    @part("bus")
+    def _deviations(self, ids: set[int]) -> list[Deviation]:
         return [found for i in sorted(ids) if (found := self._deviation(i)) is not None]
 
     def collided(self, ids: set[int]) -> list[Deviation]:

@@ -16,6 +16,7 @@ from fiberloom.bus.links import Link
 from fiberloom.bus.outcome import Outcome, Results, all_of, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, CommandFlag, CommandSpec
 from fiberloom.bus.transport import Frame, Transport
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats
 
 POLL_TIMEOUT_S = 0.3
@@ -34,6 +35,7 @@ class Collision:
     time_s: float
 
 
+@part("bus")
 def _payloads(spec: CommandSpec, values: list[NDArray[Any]], n: int) -> list[bytes]:
     """Of n requests; packed once where all get the same."""
     if all(v.ndim == 0 for v in values):
@@ -137,6 +139,7 @@ class Requests:
         replies = await self.exchange.unicast(command, ids, payloads, timeout_s)
         return self._judged(command, ids, replies)
 
+    @part("bus")
     def _judged(self, command: Command, ids: Sequence[int], replies: Iterable[Frame | None]) -> Results:
         results = results_of(ids, command, replies, self.exchange.cut_off(ids))
         return Results(zip(ids, results, strict=True))

@@ -14,6 +14,7 @@ from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
 from fiberloom.report.figures import figure_with, save
+from fiberloom.timing import part
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
@@ -25,6 +26,7 @@ _FAR_MM = 0.5
 _COLOURS = {MatchStatus.DARK: "orange", MatchStatus.AMBIGUOUS: "magenta"}
 
 
+@part("figures")
 def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     """The image with its spots; flagged ones in red."""
     figure, axes = figure_with((11, 10))
@@ -36,6 +38,7 @@ def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     save(figure, path, 120)
 
 
+@part("figures")
 def plot_reduction(
     folder: Path, name: str, plane: FocalPlane, reduction: Reduction, goal_mm: Floats | None = None
 ) -> list[Path]:

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.report.figures import figure_with, save
+from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats
 
 
@@ -30,6 +31,7 @@ class FieldPicture:
     title: str
 
 
+@part("figures")
 def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> None:
     """Draw every arm, coloured by the error of its fibre, flags in red; the part that the arms reach.
 
@@ -90,6 +92,7 @@ def _arm_points(plane: FocalPlane, angles_deg: Floats) -> tuple[Floats, Floats, 
     return plane.centres_mm, plane.elbows_mm(angles_deg[:, 0]), tip
 
 
+@part("figures")
 def plot_errors(
     path: Path, errors_um: list[Floats], labels: list[str], requirement_um: float, title: str = ""
 ) -> None:

@@ -9,8 +9,10 @@ import numpy as np
 from fiberloom.calibration.transmission.maps import NEGATIVE, POSITIVE, TransmissionMaps
 from fiberloom.instruments.model import AXES
 from fiberloom.report.figures import figure_with, save
+from fiberloom.timing import part
 
 
+@part("figures")
 def plot_transmission(path: Path, maps: TransmissionMaps, row: int) -> None:
     """Draw delta+ and delta- and the backlash of both axes of one positioner."""
     figure, panels = figure_with((12, 7), 2, 2, sharex="row")

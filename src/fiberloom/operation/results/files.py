@@ -15,6 +15,7 @@ from fiberloom.health.status import FAULTS, FibreFlag, FibreStatus, grade
 from fiberloom.operation.move import Move
 from fiberloom.report.focal_plane import FieldPicture, errors_title, plot_errors, plot_focal_plane
 from fiberloom.tables import write_summed
+from fiberloom.timing import part
 from fiberloom.typing import Floats, Ints
 from fiberloom.wholefile import write_whole
 
@@ -95,6 +96,7 @@ def flags_of(observed: ObservedField, move: Move) -> Ints:
     return flags
 
 
+@part("files")
 def write_results(observed: ObservedField, summary: Mapping[str, Any], out: Path) -> None:
     """Writes every result file into the folder `out`, which exists."""
     table = fibres_table(observed)
