@@ -164,3 +164,14 @@ def test_a_turn_opens_phi_as_far_as_its_tube_stays_within_the_territory():
         assert np.all(top <= stages.phi_in_deg[turns] + 1e-6)
         # target + 3.5 share target = most, but for the raster of phi
         assert np.all(chosen.target_deg[turns, PHI] > stages.phi_in_deg[turns] / (1.0 + 3.5 * share) - 13.0)
+
+
+def test_of_two_that_could_meet_the_one_that_scatters_more_goes_first():
+    """It needs more moves; chance decides between equals, anew each time."""
+    stages, wild = Stages.of(ARMS, PLANE.fiducials), np.arange(N) % 3 == 0
+    motors = motors_at(folded(1), np.repeat(np.where(wild, 0.4, 0.1), 2))
+    ranks = [stages._rank(motors, seed) for seed in (1, 2)]
+    for rank in ranks:
+        assert sorted(rank) == list(range(N))
+        assert rank[wild].max() < rank[~wild].min()
+    assert (ranks[0] != ranks[1]).any()

@@ -47,6 +47,8 @@ TURN_DEG = 30.0
 """A cobra whose theta lacks more has still to turn."""
 INWARD = np.linspace(0.0, 1.0, 19) ** 2
 """From the most open phi of a turn inwards: the first whose tube stays within the territory is taken."""
+SPREAD_WAY_DEG, SPREAD_DIGITS = 20.0, 1
+"""Motors are compared by what they miss in such a way, in tenths of a degree: nearer ones are equals."""
 SHARES = (1.0, 0.65, 0.4, 0.2)
 """Of phi's way, for the first stages."""
 
@@ -163,7 +165,7 @@ class Stages:
         waits = self._waits(goal_deg, far) | self._lets_turn(motors, goal_deg, active)
         for out in options[: len(SHARES)]:
             out.may[waits] = False
-        rank = np.random.default_rng(seed).permutation(len(goal_deg))
+        rank = self._rank(motors, seed)
         stage = self._agree(options, np.where(active, CobraStage.GOAL, CobraStage.STAY), goal_deg, rank)
         stage = self._promote(options, stage, active, rank)
         stage = self._make_way(options, stage, far, goal_deg, rank)
@@ -174,6 +176,18 @@ class Stages:
             np.stack([o.phi_first for o in options])[stage, rows],
             np.stack([o.boxes_deg for o in options])[stage, rows],
         )
+
+    def _rank(self, motors: Motors, seed: int) -> Ints:
+        """(n,) who goes first of two that could meet: whose motors scatter more, since it needs more moves.
+
+        `seed` decides between equals.
+        """
+        n = self.check.cobras
+        spread = _by_cobra(motors.tube_deg(np.full(2 * n, SPREAD_WAY_DEG), 1.0)).max(axis=1)
+        order = np.lexsort((np.random.default_rng(seed).random(n), -np.round(spread, SPREAD_DIGITS)))
+        rank = np.empty(n, dtype=np.int64)
+        rank[order] = np.arange(n)
+        return rank
 
     # options
 
