@@ -32,8 +32,10 @@ class GoalFeasibility {
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
-    // Makes the grid of a positioner twice as fine; false if it is as fine as grids are.
+    // Makes the grid of a positioner finer around its start and its goal; asked again, twice as fine
+    // everywhere instead, and again. False if it is as fine as grids are.
     bool refine(PositionerIndex i);
+    bool finer_at_ends(PositionerIndex i) const { return goals_[i].finer_at_ends > 1; }
     // From now on these and those around them keep nothing in hand; false: they have kept nothing.
     bool spend(const List<PositionerIndex> &tangled);
     // One for which the search has found no way, though it seemed to have one: it keeps nothing in hand;
@@ -43,15 +45,16 @@ class GoalFeasibility {
   private:
     struct Goal {
         Angles angles;
-        Descent descent;      // to the angles
-        Legs legs;            // of the descent; of one that stays where it is: at rest
-        bool stuck = false;   // stays where it is whatever happens
-        bool still = false;   // is at its goal and need not move
-        bool settled = false; // the goal can be held
-        bool gone = false;    // given up, new place not chosen yet: blocks no other
-        int finer = 1;        // its grid is finer by this factor
-        bool in_hand = true;  // on its way it keeps more than it needs
-        bool tight = false;   // it may not: it would find no path past the others
+        Descent descent;       // to the angles
+        Legs legs;             // of the descent; of one that stays where it is: at rest
+        bool stuck = false;    // stays where it is whatever happens
+        bool still = false;    // is at its goal and need not move
+        bool settled = false;  // the goal can be held
+        bool gone = false;     // given up, new place not chosen yet: blocks no other
+        int finer = 1;         // its grid is finer by this factor
+        int finer_at_ends = 1; // and by this one more around its start and its goal
+        bool in_hand = true;   // on its way it keeps more than it needs
+        bool tight = false;    // it may not: it would find no path past the others
         int steps_alone = 0;
     };
     // A grid as it was made last.
