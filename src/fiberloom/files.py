@@ -169,7 +169,7 @@ def tcp_port(text: str, last: int = LAST_PORT) -> int | None:
 
 
 def host_and_port(text: str, what: str, default: int, last: int = LAST_PORT) -> tuple[str, int]:
-    """Those of HOST or HOST:PORT, whose port is the `default` where none is given and `last` at most.
+    """Host and port of `text`, HOST or HOST:PORT; without a port the `default`, and at most `last`.
 
     InputError for anything else, in the name of `what` is there.
 

@@ -71,7 +71,7 @@ async def start(
 ) -> NotStarted | None:
     """Starts units `ids` by `begin`; None: they go. Else who, by `late`, does not: the rest is to be held.
 
-    Nobody is started where a link of the `transport` to one of them is down. `say` is told why.
+    None is started where a link of the `transport` to one of them is down. `say` is told why.
     """
     if down := down_before(transport, ids):
         say(f"{down}: no unit is started")
