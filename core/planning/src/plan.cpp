@@ -47,6 +47,7 @@ class Planner {
     void spare(PathSet &paths) const;
     void note_spared(const PathSet &paths);
     bool find_paths();
+    void keep_ways(PathSet &&paths);
     void take_over(PathSet &paths) const;
     bool refine(PositionerIndex i, PositionerIndex j);
     bool spend(const PathSet &paths);
@@ -61,7 +62,7 @@ class Planner {
     Clock clock_;
     GoalFeasibility goals_;
     List<PositionerIndex, PathIndex> positioner_of_;
-    std::optional<PathSet> before_;                      // of the round before, until one was given up ...
+    std::optional<PathSet> before_;                      // of a round before ...
     List<PositionerIndex, PathIndex> positioner_before_; // ... and whose its paths are
     List<OwnKnots, PathIndex> own_;                      // of those that do not go as their paths do
     std::vector<Motion> motions_;
@@ -70,11 +71,13 @@ class Planner {
     int least_steps_ = 0; // that the longest path needs past what is at rest
     List<std::pair<PositionerIndex, PositionerIndex>> spared_; // not planned with lateness, the lower first
     bool too_much_asked_ = false;
+    bool trial_ = false; // the round has grids that are finer at their ends: where it fails the next one
+                         // begins as if it had not been
     int round_ = 0;
 };
 
 PathSet Planner::assemble() {
-    positioner_before_ = std::exchange(positioner_of_, {});
+    positioner_of_.clear();
     int bound = 0, alone = 0;
     List<Robot> robots;
     for (const PositionerIndex i : goals_.places()) {
@@ -124,6 +127,13 @@ void Planner::note_spared(const PathSet &paths) {
     for (const auto &[i, j] : spared_) statistics_.not_late.push_back({i.value(), j.value()});
 }
 
+// For the rounds to come.
+void Planner::keep_ways(PathSet &&paths) {
+    paths.free_rooms();
+    before_ = std::move(paths);
+    positioner_before_ = positioner_of_;
+}
+
 // The ways of those that go from and to the same places as in the round before.
 void Planner::take_over(PathSet &paths) const {
     if (!before_) return;
@@ -145,7 +155,7 @@ bool Planner::find_paths() {
     if (!without.empty()) {
         statistics_.expansions += repair.expansions();
         goals_.settle();
-        before_ = std::move(paths);
+        keep_ways(std::move(paths));
         return false;
     }
     const bool free = repair.run(wanted, last);
@@ -157,8 +167,9 @@ bool Planner::find_paths() {
     if (free) {
         keep(paths);
     } else {
+        const bool trial = std::exchange(trial_, false);
         if (!spend(paths)) give_up(paths);
-        before_ = std::move(paths);
+        if (!trial) keep_ways(std::move(paths));
     }
     return free;
 }
@@ -168,6 +179,7 @@ bool Planner::refine(PositionerIndex i, PositionerIndex j) {
     if (round_ >= refining_rounds || statistics_.cut_short || goals_.still(i) || goals_.still(j))
         return false;
     const bool first = goals_.refine(i), second = goals_.refine(j);
+    trial_ |= goals_.finer_at_ends(i) || goals_.finer_at_ends(j);
     return first || second;
 }
 

@@ -14,6 +14,11 @@ namespace {
 constexpr double degree = std::numbers::pi / 180.0;
 constexpr double free_steps = 1.0; // of the grid, around start and goal, in which nothing is kept in hand
 constexpr int finest = 4;          // grids up to four times finer are tried where a body cannot be passed
+// Where two interlock their grids become finer around start and goal: there arms are nearest to each other.
+// That makes the way hardly longer, as an axis goes one line in a step, however near that is. Where it does
+// not help they become finer everywhere.
+constexpr int fineness_at_ends = 4;
+constexpr double fine_steps = 2.6; // of the grid, around start and goal, in which it is finer
 
 // Of one in a pocket that makes way with other approaches: places, and positioners that change theirs.
 constexpr int most_places_tried = 40, most_that_make_way = 4;
@@ -121,9 +126,13 @@ bool GoalFeasibility::inside_travel(PositionerIndex i, Angles place, const Desce
 const AxisGrid &GoalFeasibility::grid(PositionerIndex i, double Angles::*axis, double step_rad) {
     const Limits &t = travel(i);
     const bool alpha = axis == &Angles::alpha_rad;
-    const GridSpan span{start(i).*axis, goals_[i].angles.*axis + descent(i).above(0).*axis,
-                        alpha ? t.alpha_min_rad : t.beta_min_rad, alpha ? t.alpha_max_rad : t.beta_max_rad,
-                        alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad};
+    const GridSpan span{start(i).*axis,
+                        goals_[i].angles.*axis + descent(i).above(0).*axis,
+                        alpha ? t.alpha_min_rad : t.beta_min_rad,
+                        alpha ? t.alpha_max_rad : t.beta_max_rad,
+                        alpha ? arm(i).alpha_off_rad : arm(i).beta_off_rad,
+                        goals_[i].finer_at_ends,
+                        fine_steps * clock_.grid_rad(pace(i))};
     KnownGrid &known = alpha ? grids_[i].alpha : grids_[i].beta;
     const FineLines &fine = alpha ? goals_[i].fine.alpha : goals_[i].fine.beta;
     if (!(known.span == span) || known.step_rad != step_rad || !(known.fine == fine))
@@ -145,6 +154,7 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) {
 
 bool GoalFeasibility::find_path_alone(PositionerIndex i) {
     Goal &goal = goals_[i];
+    goal.finer_at_ends = 1;
     goal.fine = {};
     goal.hastened = false;
     for (goal.finer = 1; goal.finer <= finest; goal.finer *= 2) {
@@ -368,8 +378,14 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
 bool GoalFeasibility::refine(PositionerIndex i) {
     Goal &goal = goals_[i];
     if (goal.finer >= finest) return false;
-    goal.finer *= 2;
-    goal.fine = {};
+    if (goal.finer == 1 && goal.finer_at_ends == 1) {
+        goal.finer_at_ends = fineness_at_ends;
+    } else {
+        // where it had to be finer to pass at all, it is at least as fine everywhere
+        goal.finer = std::max({2 * goal.finer, goal.fine.alpha.parts, goal.fine.beta.parts});
+        goal.finer_at_ends = 1;
+        goal.fine = {};
+    }
     goal.hastened = true;
     goal.steps_alone = make_robot(i).steps_alone();
     return true;

@@ -32,11 +32,13 @@ class GoalFeasibility {
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
-    // Makes the grid of a positioner twice as fine; false if it is as fine as grids are.
+    // Makes the grid of a positioner finer around its start and its goal; asked again, twice as fine
+    // everywhere instead, and again. False if it is as fine as grids are.
     bool refine(PositionerIndex i);
     // One whose grid is finer everywhere moves at a part of its speed: gives it one that is finer only where
     // its way is narrow, if the way past what does not move then takes fewer steps.
     void hasten(PositionerIndex i);
+    bool finer_at_ends(PositionerIndex i) const { return goals_[i].finer_at_ends > 1; }
     // From now on these and those around them keep nothing in hand; false: they have kept nothing.
     bool spend(const List<PositionerIndex> &tangled);
     // One for which the search has found no way, though it seemed to have one: it keeps nothing in hand;
@@ -58,6 +60,7 @@ class GoalFeasibility {
         int finer = 1;         // its grid is finer by this factor ...
         FineAxes fine;         // ... or only where it is narrow
         bool hastened = false; // whether that has been looked for
+        int finer_at_ends = 1; // and by this one more around its start and its goal
         bool in_hand = true;   // on its way it keeps more than it needs
         bool tight = false;    // it may not: it would find no path past the others
         int steps_alone = 0;

@@ -51,6 +51,7 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine)
     add_outside(lines_, upper, step_rad, high, fine.high_rad >= high ? least / fine.parts : least);
     std::sort(lines_.begin(), lines_.end());
     if (fine.parts > 1) lines_ = with_fine(lines_, fine);
+    if (span.finer_at_ends > 1) refine_ends(span);
     start_ = find(lines_, span.start_rad);
     goal_ = find(lines_, span.goal_rad);
 
@@ -58,6 +59,17 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine)
     for (int line = 0; line < size(); ++line)
         for (int s = 0; s < slots; ++s)
             turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
+}
+
+void AxisGrid::refine_ends(const GridSpan &span) {
+    const List<double> wide = lines_;
+    for (int line = 0; line + 1 < wide.size(); ++line) {
+        const double from = wide[line], way = wide[line + 1] - from, middle = from + 0.5 * way;
+        const double off = std::min(std::abs(middle - span.start_rad), std::abs(middle - span.goal_rad));
+        for (int k = 1; k < span.finer_at_ends && off < span.ends_rad; ++k)
+            lines_.push_back(from + way * k / span.finer_at_ends);
+    }
+    std::sort(lines_.begin(), lines_.end());
 }
 
 bool AxisGrid::straight(int line, VelocityChange change) const {

@@ -23,6 +23,8 @@ struct GridSpan {
     double start_rad, goal_rad; // goal: the place before the approach
     double low_rad, high_rad;   // ends of the travel
     double zero_rad;            // added to the angles before their sine and cosine are taken
+    int finer_at_ends = 1;      // so many times nearer to each other are lines that are ...
+    double ends_rad = 0.0;      // ... so near to the start or the goal
     friend bool operator==(const GridSpan &, const GridSpan &) = default;
 };
 
@@ -78,6 +80,7 @@ class AxisGrid {
         }
     }
     double slot_angle(int line, int slot) const;
+    void refine_ends(const GridSpan &span);
 
     List<double> lines_;
     List<Turn> turns_;

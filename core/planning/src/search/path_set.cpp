@@ -134,6 +134,13 @@ void PathSet::take_over(PathIndex i, const Member &before) {
     set_path(i, path);
 }
 
+void PathSet::free_rooms() {
+    flood_ = {};
+    guide_ = {};
+    tables_ = {};
+    for (MovingObstacles &moving : joint_moving_) moving = {};
+}
+
 PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
     if (m.presence == Presence::path) return {&m.swept[step], m.path[step]};
     if (m.presence == Presence::absent) return {};

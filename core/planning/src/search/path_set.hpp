@@ -112,6 +112,9 @@ class PathSet {
     void keep_still(PathIndex i);
     // Gives it the path that it had in another set, if it has the same places and no body at rest in its way.
     void take_over(PathIndex i, const Member &before);
+    // Gives back what floods and guides have used: as much as 128 MB, for a set of which the paths are kept
+    // alone.
+    void free_rooms();
     // Counts anew with which paths this one conflicts.
     void count_conflicts(PathIndex i);
     int conflicts() const; // pairs
