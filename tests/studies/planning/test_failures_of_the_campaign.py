@@ -83,6 +83,20 @@ def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, mos
     assert made.duration_s < most * bound_s(array.plane, *ends_deg)
 
 
+# Before the last one and some around it started again: 1.300, 1.308, 1.339 and 1.473.
+@pytest.mark.parametrize(
+    ("seed", "buffer_mm", "most"),
+    [(48, 2.0, 1.3), (76, 2.0, 1.3), (452, 2.0, 1.3), (289, 2.5, 1.4)],
+)
+def test_those_that_are_far_behind_start_again(seed, buffer_mm, most):
+    array = array_at(buffer_mm)
+    ends_deg = array.ends_of(seed)
+    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
+    assert made.refused == {}
+    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
+    assert made.duration_s < most * bound_s(array.plane, *ends_deg)
+
+
 # On grids that were finer everywhere: 2.206, 1.874, 1.612 and 1.593. Alone 1131 and 1058 took as long.
 @pytest.mark.parametrize(("seed", "around"), [(991, 1131), (697, 1058), (49, 1131), (46, 1058)])
 def test_a_grid_is_finer_only_where_the_way_is_narrow(seed, around):

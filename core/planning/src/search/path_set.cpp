@@ -121,6 +121,11 @@ void PathSet::keep_still(PathIndex i) {
     at(i).still = true;
 }
 
+void PathSet::forget(PathIndex i, Presence presence) {
+    note(i);
+    at(i).presence = presence;
+}
+
 void PathSet::take_over(PathIndex i, const Member &before) {
     Member &m = at(i);
     const bool has_one = before.presence == Presence::path && !before.path.empty();

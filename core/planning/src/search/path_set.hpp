@@ -110,6 +110,8 @@ class PathSet {
     // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
     bool retrace(PathIndex i, int first, const List<SweptArm> &swept);
     void keep_still(PathIndex i);
+    // From now on it has no path, and is seen so by others: absent or waiting.
+    void forget(PathIndex i, Presence presence);
     // Gives it the path that it had in another set, if it has the same places and no body at rest in its way.
     void take_over(PathIndex i, const Member &before);
     // Gives back what floods and guides have used: as much as 128 MB, for a set of which the paths are kept

@@ -6,7 +6,6 @@
 namespace fl::planning {
 namespace {
 
-constexpr int any_cost = 1 << 25;   // more than any path costs
 constexpr int conflict_cost = 1000; // per step
 constexpr int tidy_cost = 1 << 20;  // per step: as good as forbidden
 constexpr int path_itself = 400;    // moves, velocity changes and waits cost about so much
@@ -18,7 +17,6 @@ constexpr int least_affordable = 4; // steps in conflict
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
 constexpr int flood_nodes = 16000;     // of a search that keeps to a flood ...
 constexpr int nodes_of_a_flood = 8000; // ... which takes as long as one of so many
-constexpr int most_joint_nodes = 500000;
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
 // is not worth the search.
@@ -28,14 +26,8 @@ constexpr int tidy_enough = 12; // cost above the least: three corners are not w
 constexpr int tidy_excess = 60; // ... and these two
 // Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
 constexpr int many_changes = 13;
-constexpr int joint_every = 12;         // of the repairs around a pair, one is a joint search
-constexpr int more_time = 4;            // a deadline grows by the first one over this
-constexpr int hurry_rounds = 25;        // repairs for one that hurries; in the end ...
-constexpr int rounds_per_step = 10;     // ... so many more for each step that it is behind the wish, and ...
-constexpr int most_rounds_of_one = 265; // ... no more than these
-constexpr int far_behind = 5; // the wish over what is missing at most, for one that is tried more often ...
-constexpr int last_attempts = 4; // ... so many times in all
-constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
+constexpr int joint_every = 12;  // of the repairs around a pair, one is a joint search
+constexpr int more_time = 4;     // a deadline grows by the first one over this
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
 constexpr int rounds_per_robot = 8; // repairs before one is given up, per positioner, and at least ...
@@ -49,7 +41,6 @@ constexpr int least_repairs_in_vain = 1000, repairs_in_vain_per_pair = 100;
 constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
 constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
-constexpr int near_by = 8;            // neighbours that may join a group, or get more time with it
 
 // Of the speed of one axis; of the one with more of them.
 int velocity_changes(const List<Cell> &path) {
@@ -188,13 +179,16 @@ Repair::Group Repair::choose(Pair pair) {
         if (!group.members.contains(pick)) group.members.push_back(pick);
     }
     save(group);
-    if (random_.chance(50))
-        random_.shuffle(group.members);
-    else
-        std::stable_sort(group.members.begin(), group.members.end(), [&](PathIndex i, PathIndex j) {
-            return paths_.at(i).robot.travel_steps() > paths_.at(j).robot.travel_steps();
-        });
+    order(group.members);
     return group;
+}
+
+// By chance, or the longest travel first.
+void Repair::order(List<PathIndex> &members) {
+    if (random_.chance(50)) return random_.shuffle(members);
+    std::stable_sort(members.begin(), members.end(), [&](PathIndex i, PathIndex j) {
+        return paths_.at(i).robot.travel_steps() > paths_.at(j).robot.travel_steps();
+    });
 }
 
 void Repair::save(Group &group) const {
@@ -392,6 +386,7 @@ void Repair::joint_round(Pair pair) {
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
     const bool by_flood =
         joint.size() == 2 && (last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
+    floods_ += by_flood;
     const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
                                 : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
     joint_left_ -= by_flood ? nodes_of_a_flood : joint_.nodes();
@@ -407,71 +402,6 @@ void Repair::joint_round(Pair pair) {
     const int now = touching(group);
     if (!all || now > group.conflicts) take_back(group);
     judge(pair, group, all ? now : group.conflicts);
-}
-
-PathIndex Repair::last_to_arrive() const {
-    PathIndex last(0);
-    for (const PathIndex i : paths_.places())
-        if (paths_.arrival(i) > paths_.arrival(last)) last = i;
-    return last;
-}
-
-// Those that were given more time in need may do with less of it. One at a time, the last to arrive: halves
-// what it is above the wish, and where that fails what is above the middle. What one knot cannot do without
-// costs the others nothing.
-void Repair::hurry(int wanted_steps) {
-    last_steps_ = 0; // none gets more time now
-    joint_left_ = most_joint_nodes;
-    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries, last_attempts};
-    List<int, PathIndex> low(paths_.size(), wanted_steps); // what each of them may hope for
-    while (may_hurry()) {
-        const PathIndex last = last_to_arrive();
-        const int arrival = paths_.arrival(last);
-        if (arrival <= wanted_steps) return;
-        if (arrival > low[last]) {
-            const int deadline = (low[last] + arrival) / 2;
-            if (!squeeze(last, deadline, hurry_rounds)) low[last] = deadline + 1;
-        } else {
-            if (!squeeze_in_the_end(last, wanted_steps)) return;
-            low[last] = wanted_steps;
-        }
-    }
-}
-
-// A step less, with more repairs. One that is far behind needs another order of the arms rather than the same
-// one sooner: it is tried again, half-way to the wish and a step earlier in turn.
-bool Repair::squeeze_in_the_end(PathIndex last, int wanted_steps) {
-    const int arrival = paths_.arrival(last), behind = arrival - wanted_steps;
-    const int repairs = std::min(hurry_rounds + rounds_per_step * behind, most_rounds_of_one);
-    for (bool half = false; !squeeze(last, half ? arrival - behind / 2 : arrival - 1, repairs); half = !half)
-        if (far_behind * behind < wanted_steps || attempts_.in_the_end-- <= 0 || enough()) return false;
-    return true;
-}
-
-bool Repair::may_hurry() {
-    return paths_.size() > 0 && attempts_.all-- > 0 && attempts_.with_repairs > 0 && !enough();
-}
-
-// One by an earlier deadline, and those in its way as late as they are, at most; all as before if that fails.
-bool Repair::squeeze(PathIndex last, int deadline, int most_repairs) {
-    const auto repairs = statistics_.repairs;
-    for (const PathIndex i : paths_.places()) {
-        paths_.at(i).deadline = std::min(paths_.at(i).deadline, std::max(paths_.arrival(i), deadline));
-        paths_.at(i).tries = paths_.at(i).joint_in_vain = 0;
-    }
-    paths_.shorten();
-    const int before = std::exchange(paths_.at(last).deadline, deadline);
-    paths_.note_changes();
-    ++statistics_.searches;
-    bool done = paths_.seek(last, {}, any_cost, {}, search_);
-    if (done) {
-        paths_.count_conflicts(last);
-        done = rounds(static_cast<int>(effort_ * most_repairs));
-    }
-    paths_.end_changes(done);
-    if (!done) paths_.at(last).deadline = before;
-    if (statistics_.repairs > repairs) --attempts_.with_repairs;
-    return done;
 }
 
 int Repair::path_cost(const Member &member, const Costs &costs) const {

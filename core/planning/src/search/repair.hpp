@@ -5,6 +5,11 @@
 
 namespace fl::planning {
 
+inline constexpr int any_cost = 1 << 25; // more than any path costs
+// Nodes that all joint searches of a round look at, at most.
+inline constexpr int most_joint_nodes = 500000;
+inline constexpr int near_by = 8; // neighbours that may join a group, or get more time with it
+
 class Repair {
   public:
     // share: of the effort of the settings.
@@ -63,6 +68,14 @@ class Repair {
     bool may_hurry();
     bool squeeze(PathIndex last, int deadline, int most_repairs);
     bool squeeze_in_the_end(PathIndex last, int wanted_steps);
+    bool may_start_again(int behind) const;
+    bool earlier_in_the_end(PathIndex last, int wanted_steps, int far);
+    bool start_again(PathIndex last, int deadline, int far);
+    List<PathIndex> some_around(PathIndex last);
+    bool seek_anew(const List<PathIndex> &knot);
+    void order(List<PathIndex> &members);
+    std::int64_t of_usual(std::int64_t of_all) const;
+    std::int64_t work() const;
     PathIndex last_to_arrive() const;
     bool rounds(int most);
     bool enough();
@@ -81,12 +94,14 @@ class Repair {
     Random random_;
     Search search_;
     JointSearch joint_;
-    // Attempts of one to arrive earlier that are left: of all, of those in which others have to give way, and
-    // of those that repeat one in vain.
+    // Attempts of one to arrive earlier that are left: of all, and of those in which others have to give way;
+    // and what has been done for those that are far behind.
     struct Attempts {
-        int all = 0, with_repairs = 0, in_the_end = 0;
+        int all = 0, with_repairs = 0;
+        std::int64_t work_in_the_end = 0;
     } attempts_;
     int joint_left_ = 0; // nodes that joint searches may still look at
+    std::int64_t floods_ = 0;
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
 };
