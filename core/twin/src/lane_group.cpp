@@ -51,7 +51,7 @@ void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size
 }
 
 bool LaneGroup::gather() {
-    awake_ = *positioners_->awake_mask();
+    awake_ = positioners_->group().awake;
     each(awake_ & ~cruise_, [&](size_t i) { positioners_[i].fetch(); });
     return awake_ != 0;
 }
