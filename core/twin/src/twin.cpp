@@ -233,9 +233,10 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
     const Rows rows = rows_of(group);
     LaneGroup &lane_group = lane_groups[group];
     if (!lane_group.gather()) return;
+    LawScratch scratch{};
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
         plant.sense(group, static_cast<uint32_t>(tick));
-        lane_group.tick(tick);
+        lane_group.tick(tick, scratch);
         plant.step(group);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
             positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
