@@ -162,7 +162,7 @@ def test_memory_per_positioner():
     """All that is the twin's own beside the firmware's state; what a law needs only where it is wanted."""
     twin = Twin(PLANE, UNITS, threads=1)
     sound = twin._core.bytes_per_positioner
-    assert 4096 < sound < 5250
+    assert 4096 < sound < 4400
     twin.inject(Fault("lying", int(PLANE.positioner_id[0])))
     assert sound < twin._core.bytes_per_positioner < sound + 10
 

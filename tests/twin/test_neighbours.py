@@ -55,6 +55,24 @@ def test_two_arms_that_meet_stop_and_say_so():
     assert (twin.truth() == stopped).all()
 
 
+def test_arms_that_begin_close_touch_before_they_overlap():
+    """The first look at a pair is planned before the first tick: no later than the two may meet."""
+    near, far = 0.0, 25.0  # they overlap, they do not
+    while far - near > 1e-4:
+        middle = 0.5 * (near + far)
+        apart = gaps_mm(Twin(PLANE, UNITS, seed=1, threads=1, start_deg=facing(middle)))[0] > 0.02
+        near, far = (near, middle) if apart else (middle, far)
+    twin = Twin(PLANE, UNITS, seed=1, threads=1, start_deg=facing(far))
+    for number, goal in zip(IDS, facing(-far), strict=True):
+        goto(twin, number, *goal)
+    deepest_mm = 0.0
+    while not twin.touches() and twin.time_s < 1.0:
+        twin.run(0.002)
+        deepest_mm = min(deepest_mm, gaps_mm(twin)[0])
+    assert twin.time_s < 1.0
+    assert deepest_mm > -0.05  # from one look to the next: 2 ms, both at 10 mm/s at most
+
+
 def test_one_hits_another_at_rest():
     twin = Twin(PLANE, UNITS, seed=1, threads=1, start_deg=facing(25.0))
     before = twin.truth()[1]

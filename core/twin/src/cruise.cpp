@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "fl_profile.h"
+
 namespace fl::twin {
 namespace {
 
@@ -174,7 +176,7 @@ void load_way(LawBatch &b, int i, const fl_axis_t &a, uint64_t tick) {
 void store_way(const LawBatch &b, int i, fl_axis_t &a, uint64_t tick, uint32_t ticks) {
     a.hall.angle_cnt = b.angle_cnt[i];
     if (ticks == 0) return;
-    a.position_cnt = b.way.measured_cnt[i];
+    a.position_cnt = fl_add_i32(b.angle_cnt[i], b.way.zero_cnt[i]);
     const fl_leg_traits_t leg = leg_of(a);
     if (leg.step == FL_STEP_LAND || leg.step == FL_STEP_STAY) {
         a.raw_cnt = b.way.path_cnt[i];
@@ -191,9 +193,9 @@ void store_way(const LawBatch &b, int i, fl_axis_t &a, uint64_t tick, uint32_t t
         a.profile.position_q30 = b.way.goto_q30[i];
         a.profile.speed_q30 = b.way.speed_q30[i];
         a.profile.tick += ticks;
-        a.raw_cnt = b.way.goto_cnt[i];
+        a.raw_cnt = fl_profile_cnt(a.profile.position_q30);
     }
-    a.command = {b.input.command_cnt[i], b.input.speed_rad_s[i], b.input.acceleration_rad_s2[i]};
+    a.command = {b.way.command_cnt[i], b.way.speed_rad_s[i], b.way.acceleration_rad_s2[i]};
     a.smooth.sum_cnt = b.way.sum_cnt[i];
     a.smooth.value_cnt = b.way.value_cnt[i];
     a.smooth.speed_rad_s = b.way.speed_rad_s[i];

@@ -16,8 +16,8 @@ template <typename Do> void each(uint32_t mask, Do &&what) {
     for (; mask != 0; mask &= mask - 1) what(static_cast<size_t>(std::countr_zero(mask)));
 }
 
-void load_input(LawBatch &b, int i, const fl_servo_in_t &in) {
-#define X(type, name) b.input.name[i] = in.name;
+void load_input(LawScratch &s, int i, const fl_servo_in_t &in) {
+#define X(type, name) s.input.name[i] = in.name;
     FL_LAW_INPUT(X)
 #undef X
 }
@@ -51,7 +51,7 @@ void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size
 }
 
 bool LaneGroup::gather() {
-    awake_ = *positioners_->awake_mask();
+    awake_ = positioners_->group().awake;
     each(awake_ & ~cruise_, [&](size_t i) { positioners_[i].fetch(); });
     return awake_ != 0;
 }
@@ -61,13 +61,13 @@ void LaneGroup::release(size_t i, uint64_t tick) {
     for (auto &axis : loaded_) axis[i] = false; // what comes over the bus may change parameters
 }
 
-void LaneGroup::tick(uint64_t tick) {
+void LaneGroup::tick(uint64_t tick, LawScratch &scratch) {
     if (tick >= next_leave_) take_out_due(tick);
     runs_ = 0;
     each(awake_ & ~cruise_, [&](size_t i) {
         if (positioners_[i].begin_tick(tick)) runs_ |= 1U << i;
     });
-    for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis, tick);
+    for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis, tick, scratch);
     if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
 }
 
@@ -176,8 +176,8 @@ void LaneGroup::look(int axis, LawBatch &b) const {
     std::copy_n(&group_->hall_cnt[1][first], lane_group_size, b.adc_b_cnt);
 }
 
-void LaneGroup::set_phases(int axis, uint32_t lanes, const LawBatch &b) {
-    const float *duty[] = {b.duty_a, b.duty_b, b.duty_c};
+void LaneGroup::set_phases(int axis, uint32_t lanes, const LawScratch &s) {
+    const float *duty[] = {s.duty_a, s.duty_b, s.duty_c};
     for (size_t phase = 0; phase < 3; ++phase) {
         float *out = &group_->duty[phase][axis * lane_group_size];
         if (lanes == whole_group)
@@ -189,23 +189,23 @@ void LaneGroup::set_phases(int axis, uint32_t lanes, const LawBatch &b) {
 
 // The phases of all that cruise; one that something blocks, or that has settled, does the end of its tick
 // itself.
-void LaneGroup::drive(int axis, uint64_t tick, LawBatch &b) {
+void LaneGroup::drive(int axis, uint64_t tick, LawBatch &b, LawScratch &s) {
     const auto at = static_cast<size_t>(axis);
     const auto end = [&](size_t i) {
         leave(i, tick, {true, axis == FL_BETA});
         runs_ |= 1U << i;
-        conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b);
+        conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b, s);
     };
-    each(lanes_of(b.stuck) & heeds_[at], end);
+    each(lanes_of(s.stuck) & heeds_[at], end);
     if (settles_[at] != 0) {
-        plant_->kernel().settle_law(b);
-        each(lanes_of(b.settle.over) & settles_[at], end);
+        plant_->kernel().settle_law(b, s);
+        each(lanes_of(s.settled) & settles_[at], end);
     }
-    set_phases(axis, cruise_axis_[at], b);
+    set_phases(axis, cruise_axis_[at], s);
 }
 
 // All of one axis before the other, as within a positioner: a collision of alpha stops beta in the same tick.
-void LaneGroup::tick_axis(int axis, uint64_t tick) {
+void LaneGroup::tick_axis(int axis, uint64_t tick, LawScratch &scratch) {
     LawBatch &batch = batches_[static_cast<size_t>(axis)];
     const uint32_t cruise = cruise_axis_[static_cast<size_t>(axis)];
     if (cruise != 0) look(axis, batch);
@@ -216,16 +216,16 @@ void LaneGroup::tick_axis(int axis, uint64_t tick) {
             trackers[count++] = {&positioners_[i], static_cast<int>(i), {}};
     });
     if (count == 0 && cruise == 0) return;
-    plant_->kernel().hall_law(batch);
-    if (cruise != 0) plant_->kernel().advance_law(batch, tick);
+    plant_->kernel().hall_law(batch, scratch);
+    if (cruise != 0) plant_->kernel().advance_law(batch, scratch, tick);
     unsigned laws = laws_[static_cast<size_t>(axis)];
     for (size_t k = 0; k < count; ++k) {
-        advance(axis, trackers[k], batch);
+        advance(axis, trackers[k], batch, scratch);
         laws |= 1U << batch.law[trackers[k].lane];
     }
-    plant_->kernel().drive_law(batch, laws);
-    if (cruise != 0) drive(axis, tick, batch);
-    for (size_t k = 0; k < count; ++k) conclude(axis, trackers[k], batch);
+    plant_->kernel().drive_law(batch, scratch, laws);
+    if (cruise != 0) drive(axis, tick, batch, scratch);
+    for (size_t k = 0; k < count; ++k) conclude(axis, trackers[k], batch, scratch);
 }
 
 // The configuration of an axis into its lane.
@@ -260,22 +260,22 @@ bool LaneGroup::ask(int axis, Positioner &p, int lane, LawBatch &b) {
     return true;
 }
 
-void LaneGroup::advance(int axis, Tracker &t, LawBatch &b) {
+void LaneGroup::advance(int axis, Tracker &t, LawBatch &b, LawScratch &s) {
     fl_positioner_t &firmware = t.positioner->firmware();
     fl_axis_t &a = firmware.axis[axis];
     a.hall.angle_cnt = b.angle_cnt[t.lane];
     fl_axis_advance(&a, &firmware.path[axis], &t.demand);
-    load_input(b, t.lane, t.demand.servo);
+    load_input(s, t.lane, t.demand.servo);
     load_state(b, t.lane, a.drive);
 }
 
-void LaneGroup::conclude(int axis, const Tracker &t, const LawBatch &b) {
+void LaneGroup::conclude(int axis, const Tracker &t, const LawBatch &b, const LawScratch &s) {
     fl_positioner_t &firmware = t.positioner->firmware();
     fl_axis_t &a = firmware.axis[axis];
     const int i = t.lane;
     store_state(b, i, a);
-    const bool stops = b.stuck[i] != 0 && a.detect;
-    if (!stops) set_phases(axis, 1U << i, b);
+    const bool stops = s.stuck[i] != 0 && a.detect;
+    if (!stops) set_phases(axis, 1U << i, s);
     const fl_axis_event_t event = fl_axis_conclude(&a, &firmware.port, axis, t.demand.way_ended, stops);
     if (event != FL_AXIS_NONE) fl_positioner_end_axis(&firmware, axis, event);
 }

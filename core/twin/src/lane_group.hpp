@@ -22,7 +22,8 @@ class LaneGroup {
     // Before `tick`: what the lanes hold of positioner i of the group goes back to it. Nothing but ticks may
     // read or change its firmware before.
     void release(size_t i, uint64_t tick);
-    void tick(uint64_t tick);
+    // scratch: of the thread.
+    void tick(uint64_t tick, LawScratch &scratch);
     // After a slice: positioners that have come to rest fall asleep; a bit for each of them.
     uint32_t rest(uint64_t tick, bool may_sleep);
 
@@ -46,7 +47,7 @@ class LaneGroup {
         int lane;
         fl_axis_demand_t demand;
     };
-    void tick_axis(int axis, uint64_t tick);
+    void tick_axis(int axis, uint64_t tick, LawScratch &scratch);
     // A positioner whose axes cruise or rest may leave its ticks to the lanes, until the tick `until`.
     void set_out(size_t i, uint64_t tick);
     uint32_t lanes_for(const Positioner &p, size_t i) const;
@@ -57,12 +58,12 @@ class LaneGroup {
     void find_next();
     void take_out_due(uint64_t tick);
     void look(int axis, LawBatch &batch) const;
-    void drive(int axis, uint64_t tick, LawBatch &batch);
+    void drive(int axis, uint64_t tick, LawBatch &batch, LawScratch &scratch);
     void load(int axis, int lane, const fl_axis_law_t &law);
-    void set_phases(int axis, uint32_t lanes, const LawBatch &batch);
+    void set_phases(int axis, uint32_t lanes, const LawScratch &scratch);
     bool ask(int axis, Positioner &p, int lane, LawBatch &batch);
-    void advance(int axis, Tracker &t, LawBatch &batch);
-    void conclude(int axis, const Tracker &t, const LawBatch &batch);
+    void advance(int axis, Tracker &t, LawBatch &batch, LawScratch &scratch);
+    void conclude(int axis, const Tracker &t, const LawBatch &batch, const LawScratch &scratch);
 
     Plant *plant_ = nullptr;
     AxisGroup *group_ = nullptr;

@@ -207,6 +207,18 @@ void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64
     near.next_look = static_cast<uint32_t>(touching ? tick + 1 : sync_after(tick, free_ticks));
 }
 
+void Neighbours::plan_first_looks(const std::vector<Pose> &poses) {
+    const std::vector<Contact> none;
+    for (size_t i = 0; i < arms_.size(); ++i) {
+        Look look{i, poses, none, {}, {}};
+        for (Near &near : near(i)) {
+            const Touched other = body(static_cast<uint32_t>(near.number), poses);
+            if (segment_distance(poses[i].line, other.line) < other.apart_mm) continue;
+            plan_look(look, near, apart_mm(look, near, 0.0), 0);
+        }
+    }
+}
+
 Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm,
                       uint64_t tick, std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};

@@ -15,14 +15,10 @@ namespace {
 constexpr uint8_t start_command = 14; // START_TRAJECTORY
 }
 
-void Positioner::attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake) {
-    plant_ = &plant;
-    group_ = &plant.group(Plant::place(2 * index).group);
-    lane_ = Plant::place(2 * index).lane;
-    index_ = index;
-    outbox_ = &outbox;
-    awake_ = &awake;
-    *awake_ |= 1U << index_ % lane_group_size;
+void Positioner::attach(PositionerGroup &group, size_t index) {
+    group_ = &group;
+    index_ = static_cast<uint32_t>(index);
+    group_->awake |= 1U << lane();
 }
 
 fl_port_t Positioner::port() {
@@ -96,8 +92,8 @@ bool Positioner::spoils_start(const fl_can_frame_t &frame) {
 // Ticks that left everything as it was: the next ones will, too, under the same duties.
 bool Positioner::changed(const Plant &plant) {
     bool changed = false;
-    for (size_t axis = 0; axis < FL_AXES; ++axis) {
-        const Plant::Rotor rotor = plant.rotor(2 * index_ + axis);
+    for (int axis = 0; axis < FL_AXES; ++axis) {
+        const Plant::Rotor rotor = plant.rotor(number(axis));
         changed |= !(rotor == last_rotor_[axis]);
         last_rotor_[axis] = rotor;
     }
@@ -107,15 +103,15 @@ bool Positioner::changed(const Plant &plant) {
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
     if (changed(plant) || scoped()) return;
-    *awake_ &= ~(1U << index_ % lane_group_size);
+    group_->awake &= ~(1U << lane());
     asleep_since_ = tick;
 }
 
 void Positioner::wake(uint64_t tick) {
     if (!asleep()) return;
-    *awake_ |= 1U << index_ % lane_group_size;
+    group_->awake |= 1U << lane();
     const uint64_t ticks = tick - asleep_since_;
-    skipped_ += ticks;
+    group_->skipped += ticks;
     if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));
 }
 
@@ -142,23 +138,23 @@ void Positioner::record(const Plant &plant, uint64_t tick) {
 }
 
 ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) const {
-    const size_t number = 2 * index_ + static_cast<size_t>(axis);
-    const int lane = lane_ + axis * lane_group_size;
-    const AxisState state = plant.state(number);
+    const PlantParams params = plant.params(number(axis));
+    const AxisGroup &lanes = *group_->lanes;
+    const size_t at = lane(axis);
+    const AxisState state = plant.state(number(axis));
     const fl_axis_telemetry_t t = fl_positioner_telemetry(&firmware_, axis);
     ScopeSample s{};
     s.time_s = tick_s * static_cast<double>(tick + 1);
     s.motor_rad = state.theta_rad;
     s.gear_rad = state.gear_rad;
     s.output_rad = state.output_rad;
-    s.speed_rad_s =
-        state.momentum_Nms / (plant.params(number).inertia_motor + plant.params(number).inertia_gear);
-    s.torque_out_Nm = plant.external_torque_Nm(number);
-    s.duty_a = static_cast<double>(group_->duty[0][lane]);
-    s.duty_b = static_cast<double>(group_->duty[1][lane]);
-    s.duty_c = static_cast<double>(group_->duty[2][lane]);
-    s.hall_a_cnt = group_->hall_cnt[0][lane];
-    s.hall_b_cnt = group_->hall_cnt[1][lane];
+    s.speed_rad_s = state.momentum_Nms / (params.inertia_motor + params.inertia_gear);
+    s.torque_out_Nm = plant.external_torque_Nm(number(axis));
+    s.duty_a = static_cast<double>(lanes.duty[0][at]);
+    s.duty_b = static_cast<double>(lanes.duty[1][at]);
+    s.duty_c = static_cast<double>(lanes.duty[2][at]);
+    s.hall_a_cnt = lanes.hall_cnt[0][at];
+    s.hall_b_cnt = lanes.hall_cnt[1][at];
     s.command_deg = static_cast<double>(t.command_deg);
     s.tracking_deg = static_cast<double>(t.tracking_deg);
     s.command_speed_rad_s = static_cast<double>(t.speed_rad_s);
@@ -172,9 +168,8 @@ ScopeSample Positioner::sample(const Plant &plant, int axis, uint64_t tick) cons
 
 void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
     uint16_t *last = last_hall_[axis];
-    const int lane = lane_ + axis * lane_group_size;
     if (!faults().stuck_hall[axis])
-        for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->hall_cnt[k][lane]);
+        for (int k = 0; k < 2; ++k) last[k] = static_cast<uint16_t>(group_->lanes->hall_cnt[k][lane(axis)]);
     adc_cnt[0] = last[0];
     adc_cnt[1] = last[1];
 }
@@ -185,18 +180,18 @@ void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
 
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {
     auto &p = *static_cast<Positioner *>(ctx);
-    for (int k = 0; k < 3; ++k) p.group_->duty[k][p.lane_ + axis * lane_group_size] = duty[k];
-    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), false);
+    for (int k = 0; k < 3; ++k) p.group_->lanes->duty[k][p.lane(axis)] = duty[k];
+    p.group_->plant->set_open(p.number(axis), false);
 }
 
 void Positioner::open_phases(void *ctx, int axis) {
     const auto &p = *static_cast<Positioner *>(ctx);
-    p.plant_->set_open(2 * p.index_ + static_cast<size_t>(axis), true);
+    p.group_->plant->set_open(p.number(axis), true);
 }
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     auto &p = *static_cast<Positioner *>(ctx);
-    if (!p.faults().mute) p.outbox_->frames.push_back({{p.now_, *frame}, p.index_});
+    if (!p.faults().mute) p.group_->outbox.frames.push_back({{p.now_, *frame}, p.index_});
     return true;
 }
 

@@ -35,9 +35,18 @@ struct Touching {
     }
 };
 
-struct Outbox { // one per group of positioners: written by the thread that runs the group
+struct Outbox {
     std::vector<Sent> frames;
     std::vector<Touch> touches;
+};
+
+// What the positioners of a group have in common: written by the thread that runs the group.
+struct alignas(64) PositionerGroup {
+    Plant *plant = nullptr;
+    AxisGroup *lanes = nullptr;
+    uint32_t awake = 0;                  // a bit for each that is not asleep
+    uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
+    Outbox outbox;
 };
 
 class Positioner {
@@ -47,8 +56,8 @@ class Positioner {
     Positioner &operator=(const Positioner &) = delete;
 
     // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
-    // awake: a bit for each positioner of its group, of those that are not asleep.
-    void attach(Plant &plant, size_t index, Outbox &outbox, uint32_t &awake);
+    // group: of its axes, with plant and lanes.
+    void attach(PositionerGroup &group, size_t index);
     // params: flashed at the factory, and those of the first unit, which stay where they are; what the
     // storage holds goes before them.
     void boot(uint16_t id, const FactoryParams::Both &first, const fl_axis_params_t params[FL_AXES]);
@@ -64,7 +73,7 @@ class Positioner {
     // False when the firmware has nothing to do for its axes in this tick.
     bool begin_tick(uint64_t tick) {
         now_ = tick;
-        ++run_;
+        ++group_->ticks_run;
         return fl_positioner_begin_tick(&firmware_);
     }
     // What the hall channels of an axis show in this tick.
@@ -77,7 +86,7 @@ class Positioner {
     // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
     void count_ticks(uint32_t ticks, uint64_t tick) {
         now_ = tick;
-        run_ += ticks;
+        group_->ticks_run += ticks;
         fl_positioner_skip(&firmware_, ticks);
     }
     void looked(int axis, int32_t a_cnt, int32_t b_cnt, uint16_t adc_cnt[2]) {
@@ -87,10 +96,8 @@ class Positioner {
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
-    bool asleep() const { return (*awake_ >> index_ % lane_group_size & 1U) == 0; }
-    const uint32_t *awake_mask() const { return awake_; }
-    uint64_t skipped() const { return skipped_; }
-    uint64_t run() const { return run_; }
+    bool asleep() const { return (group_->awake >> lane() & 1U) == 0; }
+    const PositionerGroup &group() const { return *group_; }
 
     // Others have had their turn meanwhile: what its firmware touches is asked for at once, not piece by
     // piece.
@@ -136,6 +143,10 @@ class Positioner {
     static uint32_t read_temperature(void *ctx);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
+    // Of alpha; beta's is lane_group_size further.
+    size_t lane() const { return index_ % lane_group_size; }
+    size_t lane(int axis) const { return lane() + static_cast<size_t>(axis) * lane_group_size; }
+    size_t number(int axis) const { return 2 * size_t{index_} + static_cast<size_t>(axis); } // in the plant
     fl_port_t port();
     void start(uint16_t id);
     bool changed(const Plant &plant);
@@ -146,15 +157,11 @@ class Positioner {
     static const Touching untouched;
     FactoryParams factory_;
     std::unique_ptr<PositionerFaults> faults_; // none: sound
-    Plant *plant_ = nullptr;
-    AxisGroup *group_ = nullptr;
-    int lane_ = 0; // of alpha; beta's is lane_group_size further
-    size_t index_ = 0;
-    Outbox *outbox_ = nullptr;
+    PositionerGroup *group_ = nullptr;
     Flash storage_;
     uint64_t now_ = 0; // tick of the call into the firmware
-    uint32_t *awake_ = nullptr;
-    uint64_t asleep_since_ = 0, skipped_ = 0, run_ = 0;
+    uint64_t asleep_since_ = 0;
+    uint32_t index_ = 0;
     Plant::Rotor last_rotor_[FL_AXES] = {};
     uint16_t last_hall_[FL_AXES][2] = {};
     std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;

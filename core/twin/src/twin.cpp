@@ -116,8 +116,8 @@ struct Twin::State {
     const FactoryParams::Both first_params;    // of the first positioner: others tell what differs
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
     std::vector<LaneGroup> lane_groups;        // one per group of the plant
-    std::vector<Outbox> outboxes;
-    std::vector<uint16_t> index_of_id; // or no_index
+    std::vector<PositionerGroup> groups;       // and what its positioners have in common
+    std::vector<uint16_t> index_of_id;         // or no_index
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
@@ -126,7 +126,6 @@ struct Twin::State {
     uint64_t begun = 0;           // the slice that runs, in which all have felt their neighbours
     uint64_t slice = 0;           // its ticks
     std::vector<size_t> turns;    // groups of the batch that runs
-    std::vector<uint32_t> awake;  // by group: a bit for each that is not asleep
     std::vector<uint8_t> felt;    // by positioner: it touches something, or has just done so
     std::vector<uint8_t> pushed;  // by positioner: the force on it may change from tick to tick in this slice
     std::vector<uint32_t> scoped; // by group: who has a scope on, a bit each
@@ -145,28 +144,32 @@ Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
       count(s.ids.size()), first_params(params_of_first(s)),
       positioners(std::make_unique<Positioner[]>(count)), lane_groups(plant.group_count()),
-      outboxes(plant.group_count()), index_of_id(id_count, no_index),
+      groups(plant.group_count()), index_of_id(id_count, no_index),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
-      skip_resting(s.skip_resting), awake(plant.group_count()), felt(s.ids.size()), pushed(s.ids.size()),
-      scoped(plant.group_count()), close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()),
-      posed(plant.group_count()), travels_mm(s.ids.size()), next_travels_mm(s.ids.size()),
-      gears_rad(plant.group_count() * lane_count),
+      skip_resting(s.skip_resting), felt(s.ids.size()), pushed(s.ids.size()), scoped(plant.group_count()),
+      close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()), posed(plant.group_count()),
+      travels_mm(s.ids.size()), next_travels_mm(s.ids.size()), gears_rad(plant.group_count() * lane_count),
       workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
     for (size_t g = 0; g < plant.group_count(); ++g)
         std::copy_n(plant.group(g).gear_rad, lane_count, &gears_rad[g * lane_count]);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
+    if (feel) neighbours.plan_first_looks(seen);
 }
 
 void Twin::State::boot(const TwinSetup &s) {
+    for (size_t g = 0; g < plant.group_count(); ++g) {
+        groups[g].plant = &plant;
+        groups[g].lanes = &plant.group(g);
+    }
     for (size_t i = 0; i < s.ids.size(); ++i) {
         uint16_t &index = index_of_id[s.ids[i]];
         if (index != no_index)
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
         index = static_cast<uint16_t>(i);
         Positioner &p = positioners[i];
-        p.attach(plant, i, outboxes[i / lane_group_size], awake[i / lane_group_size]);
+        p.attach(groups[i / lane_group_size], i);
         p.boot(s.ids[i], first_params, &s.params[2 * i]);
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
@@ -191,7 +194,7 @@ void Twin::State::feel_group(size_t group) {
     const Rows rows = rows_of(group);
     for (size_t i = rows.begin; i < rows.end; ++i)
         if (at_sync() ? felt[i] != 0 || neighbours.due(i, now) : pushed[i] != 0)
-            feel_neighbours(i, outboxes[group]);
+            feel_neighbours(i, groups[group].outbox);
 }
 
 bool Twin::State::in_contact(size_t group) const {
@@ -231,9 +234,10 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
     const Rows rows = rows_of(group);
     LaneGroup &lane_group = lane_groups[group];
     if (!lane_group.gather()) return;
+    LawScratch scratch{};
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
         plant.sense(group, static_cast<uint32_t>(tick));
-        lane_group.tick(tick);
+        lane_group.tick(tick, scratch);
         plant.step(group);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
             positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
@@ -343,7 +347,7 @@ void Twin::State::follow_loads(size_t i) {
 }
 
 bool Twin::State::any_awake() const {
-    return std::any_of(awake.begin(), awake.end(), [](uint32_t group) { return group != 0; });
+    return std::any_of(groups.begin(), groups.end(), [](const PositionerGroup &g) { return g.awake != 0; });
 }
 
 // To the next sync point; to one further on where no arm can touch another before.
@@ -391,7 +395,8 @@ void Twin::State::run_closely(uint64_t ticks) {
 
 std::vector<Reply> Twin::State::collect() {
     std::vector<Sent> all;
-    for (Outbox &box : outboxes) {
+    for (PositionerGroup &group : groups) {
+        Outbox &box = group.outbox;
         all.insert(all.end(), box.frames.begin(), box.frames.end());
         if (!box.frames.empty()) box.frames = std::vector<Sent>(); // few ticks have replies
     }
@@ -466,13 +471,14 @@ size_t Twin::single_ticks() const {
 
 uint64_t Twin::ticks_skipped() const {
     uint64_t sum = 0;
-    for (size_t i = 0; i < s_->count; ++i) sum += s_->positioners[i].skipped();
+    for (const PositionerGroup &group : s_->groups) sum += group.skipped;
     return sum;
 }
 
 uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
-    for (size_t i = 0; i < s_->count; ++i) sum += s_->at(i).run();
+    for (size_t i = 0; i < s_->count; ++i) s_->release(i);
+    for (const PositionerGroup &group : s_->groups) sum += group.ticks_run;
     return sum;
 }
 
@@ -482,11 +488,10 @@ size_t Twin::bytes_per_positioner() const {
     size_t bytes = sizeof(State) + s_->plant.bytes() + s_->neighbours.bytes() + held(s_->lane_groups);
     for (size_t i = 0; i < s_->count; ++i) bytes += s_->positioners[i].bytes();
     for (const LaneGroup &group : s_->lane_groups) bytes += group.bytes();
-    for (const Outbox &box : s_->outboxes) bytes += held(box.frames) + held(box.touches);
-    bytes += held(s_->outboxes) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
+    for (const PositionerGroup &g : s_->groups) bytes += held(g.outbox.frames) + held(g.outbox.touches);
+    bytes += held(s_->groups) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
              held(s_->next_travels_mm) + held(s_->gears_rad) + held(s_->felt) + held(s_->pushed);
-    bytes += held(s_->awake) + held(s_->scoped) + held(s_->close) + held(s_->posed) + held(s_->turns) +
-             held(s_->index_of_id);
+    bytes += held(s_->scoped) + held(s_->close) + held(s_->posed) + held(s_->turns) + held(s_->index_of_id);
     return s_->count == 0 ? 0 : (bytes + s_->count - 1) / s_->count;
 }
 
@@ -558,9 +563,9 @@ std::vector<ScopeSample> Twin::take_scope(size_t i, int axis) { return s_->at(i)
 
 std::vector<Touch> Twin::take_touches() {
     std::vector<Touch> all;
-    for (Outbox &box : s_->outboxes) {
-        all.insert(all.end(), box.touches.begin(), box.touches.end());
-        box.touches.clear();
+    for (PositionerGroup &group : s_->groups) {
+        all.insert(all.end(), group.outbox.touches.begin(), group.outbox.touches.end());
+        group.outbox.touches.clear();
     }
     std::stable_sort(all.begin(), all.end(), [](const Touch &a, const Touch &b) { return a.tick < b.tick; });
     return all;

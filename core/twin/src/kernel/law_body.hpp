@@ -39,7 +39,7 @@ static_assert(4 * (0 FL_LAW_WAIT(X)) == sizeof(fl_settle_state_t), "FL_LAW_WAIT 
 #undef X
 
 // Not first samples: an axis that tracks has looked before.
-void hall_law(LawBatch &b) {
+void hall_law(LawBatch &__restrict b, LawScratch &__restrict s) {
     for (int i = 0; i < lane_group_size; ++i) {
 #define X(type, name) b.hall.name[i],
         const fl_hall_config_t config = {FL_LAW_HALL(X)};
@@ -49,19 +49,19 @@ void hall_law(LawBatch &b) {
                                      static_cast<uint16_t>(b.adc_b_cnt[i])};
         const fl_hall_out_t out = fl_hall_step(&config, &state, adc_cnt);
         b.angle_cnt[i] = out.angle_cnt;
-        b.rotor_sin[i] = out.rotor.sin;
-        b.rotor_cos[i] = out.rotor.cos;
+        s.rotor_sin[i] = out.rotor.sin;
+        s.rotor_cos[i] = out.rotor.cos;
     }
 }
 
 static_assert(smooth_ticks == FL_SMOOTH_TICKS);
 
-void go_along(LawBatch &b) {
+void go_along(LawBatch &__restrict b, LawScratch &__restrict s) {
     for (int i = 0; i < lane_group_size; ++i) {
         b.way.goto_q30[i] += b.way.speed_q30[i];
         b.way.speed_q30[i] += b.way.change_q30[i];
     }
-    for (int i = 0; i < lane_group_size; ++i) b.way.goto_cnt[i] = fl_profile_cnt(b.way.goto_q30[i]);
+    for (int i = 0; i < lane_group_size; ++i) s.goto_cnt[i] = fl_profile_cnt(b.way.goto_q30[i]);
     for (int i = 0; i < lane_group_size; ++i) {
         fl_path_cursor_t cursor = {b.way.path_cnt[i],
                                    b.way.step_cnt[i],
@@ -83,45 +83,46 @@ void go_along(LawBatch &b) {
 }
 
 // fl_smooth_step and what the servo is asked, of the same tick for all lanes.
-void smooth(LawBatch &b, int32_t *ring_cnt) {
+void smooth(LawBatch &__restrict b, LawScratch &__restrict s, int32_t *__restrict ring_cnt) {
     for (int i = 0; i < lane_group_size; ++i) {
-        const int32_t raw_cnt =
-            (b.way.path_cnt[i] & b.way.follows[i]) | (b.way.goto_cnt[i] & ~b.way.follows[i]);
-        b.way.change_cnt[i] = fl_sub_i32(raw_cnt, ring_cnt[i]);
+        const int32_t raw_cnt = (b.way.path_cnt[i] & b.way.follows[i]) | (s.goto_cnt[i] & ~b.way.follows[i]);
+        s.change_cnt[i] = fl_sub_i32(raw_cnt, ring_cnt[i]);
         ring_cnt[i] = raw_cnt;
     }
     for (int i = 0; i < lane_group_size; ++i) {
         const fl_command_t command =
-            fl_smooth_command(b.way.value_cnt[i], b.way.change_cnt[i], b.way.speed_rad_s[i]);
+            fl_smooth_command(b.way.value_cnt[i], s.change_cnt[i], b.way.speed_rad_s[i]);
+        b.way.command_cnt[i] = command.position_cnt;
         b.way.speed_rad_s[i] = command.speed_rad_s;
-        b.way.measured_cnt[i] = fl_add_i32(b.angle_cnt[i], b.way.zero_cnt[i]);
-        b.input.error_cnt[i] = fl_sub_i32(command.position_cnt, b.way.measured_cnt[i]);
-        b.input.command_cnt[i] = command.position_cnt;
-        b.input.rotor_cnt[i] = fl_sub_i32(command.position_cnt, b.way.zero_cnt[i]);
-        b.input.speed_rad_s[i] = command.speed_rad_s;
-        b.input.acceleration_rad_s2[i] = command.acceleration_rad_s2;
-        b.input.settling[i] = b.way.creeps[i];
+        b.way.acceleration_rad_s2[i] = command.acceleration_rad_s2;
+        const int32_t measured_cnt = fl_add_i32(b.angle_cnt[i], b.way.zero_cnt[i]);
+        s.input.error_cnt[i] = fl_sub_i32(command.position_cnt, measured_cnt);
+        s.input.command_cnt[i] = command.position_cnt;
+        s.input.rotor_cnt[i] = fl_sub_i32(command.position_cnt, b.way.zero_cnt[i]);
+        s.input.speed_rad_s[i] = command.speed_rad_s;
+        s.input.acceleration_rad_s2[i] = command.acceleration_rad_s2;
+        s.input.settling[i] = b.way.creeps[i];
     }
-    for (int i = 0; i < lane_group_size; ++i) b.way.sum_cnt[i] += b.way.change_cnt[i];
+    for (int i = 0; i < lane_group_size; ++i) b.way.sum_cnt[i] += s.change_cnt[i];
     for (int i = 0; i < lane_group_size; ++i) b.way.value_cnt[i] = fl_smooth_mean(b.way.sum_cnt[i]);
 }
 
-void advance_law(LawBatch &b, uint64_t tick) {
-    go_along(b);
-    smooth(b, b.way.ring_cnt[tick % smooth_ticks]);
+void advance_law(LawBatch &b, LawScratch &s, uint64_t tick) {
+    go_along(b, s);
+    smooth(b, s, b.way.ring_cnt[tick % smooth_ticks]);
 }
 
 // After the drive's law.
-void settle_law(LawBatch &b) {
+void settle_law(LawBatch &__restrict b, LawScratch &__restrict s) {
     for (int i = 0; i < lane_group_size; ++i) {
 #define X(type, name) b.settle.name[i],
         const fl_settle_config_t config = {FL_LAW_SETTLE(X)};
         fl_settle_state_t state = {FL_LAW_WAIT(X)};
 #undef X
-        const int32_t error_cnt = b.input.error_cnt[i];
+        const int32_t error_cnt = s.input.error_cnt[i];
         const bool over =
             fl_settle_step(&config, &state, b.state.direction[i] < 0.0f ? -error_cnt : error_cnt);
-        b.settle.over[i] = int32_t{over};
+        s.settled[i] = int32_t{over};
 #define X(type, name) b.settle.name[i] = over ? b.settle.name[i] : state.name;
         FL_LAW_WAIT(X)
 #undef X
@@ -171,15 +172,16 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, const ContactLanes *c,
 
 // One law over all lanes; with `some`, only what those of this law have found is kept.
 template <fl_law_t Law, bool some>
-[[gnu::flatten]] void drive_lanes(LawBatch &__restrict b, ContactLanes *__restrict c) {
+[[gnu::flatten]] void drive_lanes(LawBatch &__restrict b, LawScratch &__restrict s,
+                                  ContactLanes *__restrict c) {
     for (int i = 0; i < lane_group_size; ++i) {
         const bool mine = !some || b.law[i] == Law;
         const fl_drive_config_t config = drive_config_of<Law>(b, c, i);
         fl_drive_state_t state = drive_state_of<Law>(b, c, i);
-#define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(b.input.name[i]),
+#define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(s.input.name[i]),
         const fl_servo_in_t in = {FL_LAW_INPUT(X)};
 #undef X
-        const fl_sincos_t rotor = {b.rotor_sin[i], b.rotor_cos[i]};
+        const fl_sincos_t rotor = {s.rotor_sin[i], s.rotor_cos[i]};
         const fl_drive_out_t out = Law == FL_LAW_CONTACT ? fl_drive_contact(&config, &state, &in, rotor)
                                                          : fl_drive_paper(&config, &state, &in, rotor);
 #define X(type, name) b.state.name[i] = mine ? state.servo.name : b.state.name[i];
@@ -206,20 +208,20 @@ template <fl_law_t Law, bool some>
         FL_LAW_TORQUE(X)
 #undef X
         b.voltage[i] = mine ? out.voltage : b.voltage[i];
-        b.duty_a[i] = mine ? out.duty.phase[0] : b.duty_a[i];
-        b.duty_b[i] = mine ? out.duty.phase[1] : b.duty_b[i];
-        b.duty_c[i] = mine ? out.duty.phase[2] : b.duty_c[i];
-        b.stuck[i] = mine ? int32_t{out.stuck} : b.stuck[i];
+        s.duty_a[i] = mine ? out.duty.phase[0] : s.duty_a[i];
+        s.duty_b[i] = mine ? out.duty.phase[1] : s.duty_b[i];
+        s.duty_c[i] = mine ? out.duty.phase[2] : s.duty_c[i];
+        s.stuck[i] = mine ? int32_t{out.stuck} : s.stuck[i];
     }
 }
 
 // laws: a bit of 1 << law for each that a lane wants.
-void drive_law(LawBatch &b, unsigned laws) {
+void drive_law(LawBatch &b, LawScratch &s, unsigned laws) {
     constexpr unsigned paper = 1U << FL_LAW_PAPER, contact = 1U << FL_LAW_CONTACT;
-    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b, nullptr);
-    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b, b.contact);
-    drive_lanes<FL_LAW_PAPER, true>(b, b.contact);
-    drive_lanes<FL_LAW_CONTACT, true>(b, b.contact);
+    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b, s, nullptr);
+    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b, s, b.contact);
+    drive_lanes<FL_LAW_PAPER, true>(b, s, b.contact);
+    drive_lanes<FL_LAW_CONTACT, true>(b, s, b.contact);
 }
 
 } // namespace

@@ -84,6 +84,7 @@ struct Substeps {
 };
 
 struct LawBatch;
+struct LawScratch;
 
 // One build of the inner loops for one instruction set. All builds do the same operations in the same
 // order without contraction, so they agree to the bit.
@@ -92,10 +93,14 @@ struct Kernel {
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, Substeps substeps);
-    void (*hall_law)(LawBatch &batch); // the firmware's laws for one axis of a lane group, law_batch.hpp
-    void (*advance_law)(LawBatch &batch, uint64_t tick); // the commands of those that cruise
-    void (*drive_law)(LawBatch &batch, unsigned laws);   // a bit of 1 << law for each that a lane wants
-    void (*settle_law)(LawBatch &batch);                 // whether those that settle have done so
+    // the firmware's laws for one axis of a lane group, law_batch.hpp
+    void (*hall_law)(LawBatch &batch, LawScratch &scratch);
+    // the commands of those that cruise
+    void (*advance_law)(LawBatch &batch, LawScratch &scratch, uint64_t tick);
+    // laws: a bit of 1 << law for each that a lane wants
+    void (*drive_law)(LawBatch &batch, LawScratch &scratch, unsigned laws);
+    // whether those that settle have done so
+    void (*settle_law)(LawBatch &batch, LawScratch &scratch);
 };
 
 // The kernels this machine runs, slowest first; ends with a nullptr.

@@ -73,7 +73,25 @@ struct alignas(64) ContactLanes {
     float slack_Nm[lane_group_size]; // of the regulator's state
 };
 
-// Configuration, state, input and output of the laws of one axis of a lane group, field by field.
+// What the laws of a tick hand on to each other and to the plant: nothing of it is asked for in the next one,
+// so that a thread needs one for all of its groups. Lanes that nobody uses hold anything.
+struct alignas(64) LawScratch {
+    using Floats = float[lane_group_size];
+    using Ints = int32_t[lane_group_size];
+
+    Floats rotor_sin, rotor_cos;
+    Ints goto_cnt, change_cnt; // the command of a go-to, and what the command is beyond that of 32 ticks ago
+#define X(type, name) type name[lane_group_size];
+    struct {
+        FL_LAW_INPUT(X)
+    } input; // of the drive's law; then what it gives
+#undef X
+    Floats duty_a, duty_b, duty_c;
+    Ints stuck;
+    Ints settled; // the wait is over with this tick
+};
+
+// Configuration and state of the laws of one axis of a lane group, field by field.
 struct alignas(64) LawBatch {
     using Floats = float[lane_group_size];
     using Ints = int32_t[lane_group_size];
@@ -93,7 +111,7 @@ struct alignas(64) LawBatch {
     struct {
         FL_LAW_TOUCH(X)
     } touch;
-    // states of servo and touch, in and out; the input; its output
+    // states of servo and touch, in and out; the torques of the last tick
     struct {
         FL_LAW_STATE(X)
     } state;
@@ -104,42 +122,34 @@ struct alignas(64) LawBatch {
         FL_LAW_RIPPLE(X)
     } ripple;
     struct {
-        FL_LAW_INPUT(X)
-    } input;
-    struct {
         FL_LAW_TORQUE(X)
     } torque;
 #undef X
     Floats voltage_per_Nm, full_Nm;
     Ints law;
     Ints adc_a_cnt, adc_b_cnt, angle_cnt; // angle: the last one in, this one out
-    Floats rotor_sin, rotor_cos;
     Floats voltage;
-    Floats duty_a, duty_b, duty_c;
-    Ints stuck;
 
     // Where the command of an axis that cruises is (cruise.hpp): along a path or a go-to, and its smoothing.
     struct {
         Ints follows; // all bits: a path, none: a go-to
-        Ints zero_cnt, measured_cnt;
+        Ints zero_cnt;
         Ints path_cnt, step_cnt, rest, rest_sum, ticks; // of its segment
         Ints lands, target_cnt, slowest_cnt;   // all bits: it creeps to the target; none: it does not
         Ints creeps;                           // what the servo is told
         Longs goto_q30, speed_q30, change_q30; // change: of the speed, per tick
-        Ints goto_cnt;
         Longs sum_cnt;
-        Ints value_cnt, change_cnt;
-        Floats speed_rad_s;
+        Ints value_cnt;
+        Ints command_cnt; // as the servo was told last
+        Floats speed_rad_s, acceleration_rad_s2;
         int32_t ring_cnt[smooth_ticks][lane_group_size]; // all lanes in the row of the tick
     } way;
 
 #define X(type, name) type name[lane_group_size];
-    // An axis that settles: what it waits for, how far it is, and whether the wait is over with this tick.
-    // Then the rest is as it was before.
+    // An axis that settles: what it waits for, and how far it is; where the wait is over, as it was before.
     struct {
         FL_LAW_SETTLE(X)
         FL_LAW_WAIT(X)
-        Ints over;
     } settle;
 #undef X
 

@@ -80,6 +80,11 @@ class Neighbours {
     // Positioner i at these angles; rigid: where it would spring to.
     Pose pose(size_t i, Angles deflected, Angles rigid) const;
 
+    // What push() would find at tick 0 of pairs that do not touch then: the first tick has less to do, and
+    // the answers stay the same to the bit. Once, before any push(). poses: as push() is given them at tick
+    // 0.
+    void plan_first_looks(const std::vector<Pose> &poses);
+
     // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
     // come near: the answer does not depend on it. `contacts` are those of the last sync point, and
     // then those of this. travels_mm: of all positioners at the last sync point, see travel_mm. Any thread,
