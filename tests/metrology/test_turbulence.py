@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from fiberloom.errors import InputError
-from fiberloom.metrology.turbulence import remove_turbulence, rms_um
+from fiberloom.metrology import zhao_burge
+from fiberloom.metrology.turbulence import AirSize, FittedTerms, remove_turbulence, rms_um
+from fiberloom.metrology.zhao_burge import N_TERMS
 from fiberloom.twin.camera.air import air_shift_mm
 
 
@@ -61,7 +63,7 @@ def test_calm_air_is_left_alone():
 
 def test_far_from_all_that_stands_nothing_is_claimed():
     standing, seen, _, _ = scene(5)
-    air = remove_turbulence(standing, seen, 1e-3, [[5000.0, 0.0]], amplitude_um=5.0, length_mm=50.0)
+    air = remove_turbulence(standing, seen, 1e-3, [[5000.0, 0.0]], size=AirSize(5.0, 50.0))
     np.testing.assert_allclose(air.shift_mm, 0, atol=1e-12)
     np.testing.assert_allclose(np.sqrt(air.variance_mm2), 5e-3)
 
@@ -69,3 +71,42 @@ def test_far_from_all_that_stands_nothing_is_claimed():
 def test_too_few_are_refused():
     with pytest.raises(InputError, match="at least 3"):
         remove_turbulence(np.zeros((2, 2)), np.zeros((2, 2)), 1e-3, np.zeros((1, 2)))
+
+
+def edge_of_a_fit(seed):
+    """Standing points within 400 mm and 300 places beyond them, in air, as a transform leaves them.
+
+    What is left at both, and the terms of the transform.
+    """
+    rng = np.random.default_rng(seed)
+    standing = disc(rng, 400, 400.0)
+    angle = rng.uniform(0.0, 2 * np.pi, 300)
+    places = 408.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    air = air_shift_mm(np.vstack([standing, places]), 5.0, 50.0, rng)
+    seen = air[: len(standing)] + rng.normal(0, 1e-3, standing.shape)
+    trend = FittedTerms(*(zhao_burge.basis(at / 410.0, range(N_TERMS)) for at in (standing, places)))
+    terms = trend.standing.transpose(1, 2, 0).reshape(seen.size, -1)
+    fitted = np.linalg.lstsq(terms, seen.ravel(), rcond=None)[0]
+    left = [np.einsum("k,knc->nc", fitted, fields) for fields in (trend.standing, trend.places)]
+    return standing, seen - left[0], places, air[len(standing) :] - left[1], trend
+
+
+def test_what_a_fit_has_taken_up_is_told_at_the_edge():
+    pulls = {True: [], False: []}
+    for seed in range(6):
+        standing, shift, places, true, trend = edge_of_a_fit(seed)
+        for with_terms, found in pulls.items():
+            air = remove_turbulence(standing, shift, 1e-3, places, trend=trend if with_terms else None)
+            left = true - air.shift_mm
+            found.append(np.mean(left**2 / air.variance_mm2[:, None]))
+    assert 0.8 < np.sqrt(np.mean(pulls[True])) < 1.25
+    # or this test could not see it
+    assert np.sqrt(np.mean(pulls[False])) > 1.3
+
+
+def test_terms_do_not_hide_the_size_of_the_air():
+    found = []
+    for seed in range(6):
+        standing, shift, places, _, trend = edge_of_a_fit(seed)
+        found.append(remove_turbulence(standing, shift, 1e-3, places, trend=trend).amplitude_um)
+    assert 4.5 < np.mean(found) < 5.6

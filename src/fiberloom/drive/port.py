@@ -229,6 +229,25 @@ class Drive(Protocol):
         ...
 
 
+class UnitSays(NamedTuple):
+    """What a positioner says of itself, asked without moving it."""
+
+    datum: bool | None
+    """It knows its place; None: such a one never says."""
+    moving: bool = False
+    trouble: str = ""
+    """Why it must not move; "": nothing is known against it."""
+
+
+@runtime_checkable
+class LooksOnly(Protocol):
+    """A drive that can ask its positioners without moving any."""
+
+    async def look(self) -> dict[int, UnitSays]:
+        """What those of the layout say that answer, by number."""
+        ...
+
+
 class SearchesStops(Protocol):
     """A drive without encoders: its positioners are found again by their stops."""
 

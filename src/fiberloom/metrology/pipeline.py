@@ -23,7 +23,7 @@ from fiberloom.metrology.images import CameraImage, trouble
 from fiberloom.metrology.matching import Match, MatchSettings, MatchStatus, match_spots
 from fiberloom.metrology.spots import Found, Profile, Spots, SpotSettings, find_spots
 from fiberloom.metrology.transform import FieldTransform, PlaceErrors
-from fiberloom.metrology.turbulence import Turbulence, remove_turbulence
+from fiberloom.metrology.turbulence import FittedTerms, Turbulence, remove_turbulence
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM
 
@@ -155,14 +155,17 @@ def reduce_image(
         spots_mm, expected, plane.centres_mm, metrology_reach_mm(plane),
         previous_mm=hints.previous_mm, settings=settings.matching,
     )  # fmt: skip
-    covariance = acquisition.transform.covariance(others.xy_px, others.covariance_px2)
-    noise = acquisition.transform.noise(others.xy_px, others.covariance_px2)
+    covariance, noise = _known(acquisition.transform, others, settings.turbulence)
     seen, n = match.spot >= 0, len(plane)
     xy, cov, own = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan), np.full((n, 2, 2), np.nan)
     for rows, values in ((xy, spots_mm), (cov, covariance), (own, noise)):
         rows[seen] = values[match.spot[seen]]
-    air = _calm(plane, settings, acquisition, hints.standing_mm, xy, cov) if settings.turbulence else None
     spot = np.where(seen, free[match.spot] if len(free) else -1, -1)
+    air = (
+        _calm(plane, settings, _SeenSpots(acquisition, found.spots, spot), hints.standing_mm, xy, cov)
+        if settings.turbulence
+        else None
+    )
     loose = spots_mm[match.stray]
     if air is not None:
         own[seen] += air.variance_mm2[:, None, None] * np.eye(2)
@@ -199,26 +202,63 @@ def _fiducials(
     )
 
 
+def _known(transform: FieldTransform, spots: Spots, turbulence: bool) -> Floats:
+    """(2, n, 2, 2) mm^2 of the places of `spots`: how well known, and what of it is new in every image.
+
+    With `turbulence` by the spots alone: what the transform is off the fit of the air tells. It knows that
+    neighbouring fiducials are off together.
+    """
+    if turbulence:
+        own = transform.of_spots(spots.xy_px, spots.covariance_px2)
+        return np.stack([own, own])
+    known = transform.covariance(spots.xy_px, spots.covariance_px2)
+    return np.stack([known, transform.noise(spots.xy_px, spots.covariance_px2)])
+
+
+@dataclass(frozen=True)
+class _SeenSpots:
+    """The spots of an image, and whose they are."""
+
+    acquisition: Acquisition
+    spots: Spots
+    spot: Ints
+    """(N,) of each positioner; -1: none."""
+
+    def fiducials_sigma_mm(self, table_um: float) -> Floats:
+        """(m,) per coordinate: of the table, and of the spots."""
+        fiducials = self.spots.select(self.acquisition.spot)
+        noise = self.acquisition.transform.of_spots(fiducials.xy_px, fiducials.covariance_px2)
+        spots: Floats = np.sqrt(0.5 * np.trace(noise, axis1=1, axis2=2))
+        return np.hypot(spots, max(table_um, 0.1) * MM_PER_UM)
+
+    def trend(self, still: Flags, seen: Flags) -> FittedTerms:
+        """Of the transform, at fiducials and positioners `still` (N,), and at those `seen` (N,)."""
+        rows = np.concatenate([self.acquisition.spot, self.spot[still]])
+        fields = self.acquisition.transform.fields
+        return FittedTerms(fields(self.spots.xy_px[rows]), fields(self.spots.xy_px[self.spot[seen]]))
+
+
 def _calm(
     plane: FocalPlane,
     settings: ReductionSettings,
-    acquisition: Acquisition,
+    image: _SeenSpots,
     standing_mm: Floats | None,
     xy: Floats,
     cov: Floats,
 ) -> Turbulence:
     """Takes the turbulence off `xy`, in place, and adds what is not known of it to `cov`."""
-    at = plane.fiducials[acquisition.fiducial, :2]
-    shift = -acquisition.fit.residual_mm
-    sigma = np.full(len(at), max(settings.fiducial_sigma_um, 0.1) * MM_PER_UM)
+    at = plane.fiducials[image.acquisition.fiducial, :2]
+    shift = -image.acquisition.fit.residual_mm
+    sigma = image.fiducials_sigma_mm(settings.fiducial_sigma_um)
+    seen: Flags = np.asarray(np.isfinite(xy).all(axis=1))
+    still: Flags = np.zeros(len(seen), dtype=bool)
     if standing_mm is not None:
-        still = np.isfinite(standing_mm).all(axis=1) & np.isfinite(xy).all(axis=1)
+        still = np.asarray(np.isfinite(standing_mm).all(axis=1) & seen)
         at = np.vstack([at, standing_mm[still]])
         shift = np.vstack([shift, xy[still] - standing_mm[still]])
         own = np.sqrt(0.5 * np.trace(cov[still], axis1=1, axis2=2))
         sigma = np.concatenate([sigma, np.hypot(own, settings.standing_sigma_um * MM_PER_UM)])
-    seen = np.isfinite(xy).all(axis=1)
-    air = remove_turbulence(at, shift, sigma, xy[seen])
+    air = remove_turbulence(at, shift, sigma, xy[seen], trend=image.trend(still, seen))
     xy[seen] -= air.shift_mm
     cov[seen] += air.variance_mm2[:, None, None] * np.eye(2)
     return air

@@ -136,22 +136,26 @@ class FieldTransform:
     @part("transform")
     def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
         """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
-        b = self._basis(self.similarity.to_mm(xy_px))
+        b = self.fields(xy_px)
         own: Floats = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
-        if covariance_px2 is None:
-            return own
-        j = self.jacobian(xy_px)
-        both: Floats = own + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
-        return both
+        return own if covariance_px2 is None else own + self.of_spots(xy_px, covariance_px2)
 
     @part("transform")
     def noise(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
         """(n, 2, 2) mm^2 by which positions differ from image to image; `covariance_px2`: of the spots."""
-        b = self._basis(self.similarity.to_mm(xy_px))
-        j = self.jacobian(xy_px)
+        b = self.fields(xy_px)
         of_fit: Floats = np.einsum("knc,kl,lnd->ncd", b, self.noise_mm2, b)
-        both: Floats = of_fit + j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
-        return both
+        return of_fit + self.of_spots(xy_px, covariance_px2)
+
+    def of_spots(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
+        """(n, 2, 2) mm^2 of positions by `covariance_px2` (n, 2, 2) of the spots alone."""
+        j = self.jacobian(xy_px)
+        spots: Floats = j @ np.asarray(covariance_px2) @ j.transpose(0, 2, 1)
+        return spots
+
+    def fields(self, xy_px: ArrayLike) -> Floats:
+        """(K, n, 2) dimensionless: the terms at pixels (n, 2)."""
+        return self._basis(self.similarity.to_mm(xy_px))
 
     def distortion_mm(self, xy_px: ArrayLike) -> Floats:
         """(n, 2): what the terms beyond shift, scale and rotation add."""

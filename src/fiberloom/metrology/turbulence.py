@@ -9,11 +9,22 @@ do not move) show it; a Gaussian process carries it to the fibres between them, 
 
 with d the observed shifts and N their variances. s and l are those of the highest marginal
 likelihood on a small grid, or given.
+
+Where a transform was fitted to the same points before, its terms have taken up whatever air looks like them,
+and carry it to the edge and beyond, where no point holds them. So these terms are fitted once more, together
+with the air (universal kriging: Cressie 1993, Statistics for Spatial Data, 3.4). With A the terms at the
+points, b at a place:
+
+    c = (A^T C^-1 A)^-1 A^T C^-1 d,   shift(q) = b c + k_q^T C^-1 (d - A c),   C = K + N,
+    variance(q) = s^2 - k_q^T C^-1 k_q + g^T (A^T C^-1 A)^-1 g,   g = b - A^T C^-1 k_q
+
+and the likelihood is that of what no such term can be (REML).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,39 +60,78 @@ class Turbulence:
     """Which of the standing points were believed."""
 
 
+class AirSize(NamedTuple):
+    """How much air there is."""
+
+    amplitude_um: float
+    """Rms per coordinate."""
+    length_mm: float
+    """Of the correlation: exp(-d^2 / (2 l^2)) over a distance d."""
+
+
+@dataclass(frozen=True)
+class FittedTerms:
+    """The K terms of a transform that was fitted to the standing points: mm/mm, or any other unit."""
+
+    standing: Floats
+    """(K, m, 2) their fields at the standing points."""
+    places: Floats
+    """(K, n, 2) at the places."""
+
+    def of(self, rows: Flags | slice) -> FittedTerms:
+        """With some of the standing points."""
+        return FittedTerms(self.standing[:, rows], self.places)
+
+
 def remove_turbulence(
     standing_mm: ArrayLike,
     shift_mm: ArrayLike,
     sigma_mm: ArrayLike,
     places_mm: ArrayLike,
     *,
-    amplitude_um: float | None = None,
-    length_mm: float | None = None,
+    size: AirSize | None = None,
+    trend: FittedTerms | None = None,
 ) -> Turbulence:
     """The field at `places_mm` (n, 2) from shifts seen at points that do not move.
 
     `standing_mm` (m, 2): these points; `shift_mm` (m, 2): measured less known place; `sigma_mm` (m,) or
     one number: how well each shift is known, per coordinate, its place in the focal plane included.
-    `amplitude_um` and `length_mm`: rms and correlation length of the air, estimated when None. Points
-    that disagree with their neighbours by five sigma have moved and are left out.
+    `size` of the air, estimated when None; `trend` of a transform fitted to these points, whose residuals the
+    shifts are, None where there was none. Points that disagree with their neighbours by five sigma have moved
+    and are left out.
     """
     at, shift, places = (np.asarray(a, dtype=np.float64) for a in (standing_mm, shift_mm, places_mm))
     if at.shape != shift.shape or at.ndim != 2 or len(at) < 3:
         raise InputError(f"turbulence: {len(at)} standing points, at least 3 are needed")
     noise = np.broadcast_to(np.square(np.asarray(sigma_mm, dtype=np.float64)), (len(at),))
     used = np.isfinite(shift).all(axis=1) & (noise > 0)
-    s_um, l_mm = _hyperparameters(at[used], shift[used], noise[used], amplitude_um, length_mm)
+    fitted = trend or FittedTerms(np.zeros((0, len(at), 2)), np.zeros((0, len(places), 2)))
+    points = _StandingPoints(at[used], shift[used], noise[used], fitted.of(used))
+    s_um, l_mm = size or _estimated(points)
     for _ in range(_ROUNDS):
         process = _Process(at[used], noise[used], s_um * MM_PER_UM, l_mm)
         off, spread = process.left_out(shift[used])
-        size = np.hypot(*off.T) / np.sqrt(spread)
+        sigmas = np.hypot(*off.T) / np.sqrt(spread)
         # the worst first: its neighbours look wrong only because of it
-        bad = size > max(_CLIP, 0.3 * float(size.max(initial=0.0)))
+        bad = sigmas > max(_CLIP, 0.3 * float(sigmas.max(initial=0.0)))
         if not bad.any() or used.sum() - bad.sum() < 3:
             break
         used[np.flatnonzero(used)[bad]] = False
-    field, variance = process.predict(shift[used], places)
+    field, variance = process.predict(shift[used], places, fitted.of(used))
     return Turbulence(field, variance, s_um, l_mm, used)
+
+
+@dataclass(frozen=True)
+class _StandingPoints:
+    """Standing points: where, (m, 2) shifts, (m,) their variances, and the terms that were fitted to them."""
+
+    at: Floats
+    shift: Floats
+    noise: Floats
+    trend: FittedTerms
+
+    def of(self, rows: Flags | slice) -> _StandingPoints:
+        return _StandingPoints(self.at[rows], self.shift[rows], self.noise[rows], self.trend.of(rows))
 
 
 class _Process:
@@ -96,11 +146,27 @@ class _Process:
         covariance: Floats = self.amplitude**2 * np.exp(-0.5 * square / self.length**2)
         return covariance
 
-    def predict(self, shift: Floats, places: Floats) -> tuple[Floats, Floats]:
+    def predict(self, shift: Floats, places: Floats, trend: FittedTerms) -> tuple[Floats, Floats]:
         k = self._kernel(places)
-        explained = np.einsum("nm,mn->n", k, cho_solve(self.factor, k.T))
-        variance = np.maximum(self.amplitude**2 - explained, 0.0)
-        return k @ cho_solve(self.factor, shift), variance
+        weights = cho_solve(self.factor, k.T)
+        variance = np.maximum(self.amplitude**2 - np.einsum("nm,mn->n", k, weights), 0.0)
+        normal, c = self._fit(shift, trend)
+        left = shift - np.einsum("k,kmc->mc", c, trend.standing)
+        gap = trend.places - np.einsum("kmc,mn->knc", trend.standing, weights)
+        inverse = np.linalg.pinv(normal, hermitian=True) if len(c) else normal
+        unsure: Floats = 0.5 * np.einsum("knc,kl,lnc->n", gap, inverse, gap, optimize=True)
+        return weights.T @ left + np.einsum("k,knc->nc", c, trend.places), variance + unsure
+
+    def _fit(self, shift: Floats, trend: FittedTerms) -> tuple[Floats, Floats]:
+        """(K, K) normal matrix and (K,) terms beside the air."""
+        normal, right = np.zeros((len(trend.standing),) * 2), np.zeros(len(trend.standing))
+        for axis in (0, 1):
+            terms = trend.standing[..., axis]
+            weighed = cho_solve(self.factor, terms.T)
+            normal += terms @ weighed
+            right += weighed.T @ shift[:, axis]
+        c = np.linalg.pinv(normal, hermitian=True) @ right if len(right) else right
+        return normal, c
 
     def left_out(self, shift: Floats) -> tuple[Floats, Floats]:
         """Each shift less what all others say, and the variance of that: from one inverse."""
@@ -108,33 +174,30 @@ class _Process:
         diagonal = np.diag(inverse)
         return (inverse @ shift) / diagonal[:, None], 1.0 / diagonal
 
-    def log_likelihood(self, shift: Floats) -> float:
-        fit = np.sum(shift * cho_solve(self.factor, shift))
+    def log_likelihood(self, shift: Floats, trend: FittedTerms) -> float:
+        normal, c = self._fit(shift, trend)
+        left = shift - np.einsum("k,kmc->mc", c, trend.standing)
+        fit = np.sum(left * cho_solve(self.factor, left))
         log_determinant = 2 * np.sum(np.log(np.diag(self.factor[0])))
-        return float(-0.5 * fit - 0.5 * shift.shape[1] * log_determinant)
+        of_terms = np.linalg.slogdet(normal)[1]
+        return float(-0.5 * fit - 0.5 * shift.shape[1] * log_determinant - 0.5 * of_terms)
 
 
-def _hyperparameters(
-    at: Floats, shift: Floats, noise: Floats, amplitude_um: float | None, length_mm: float | None
-) -> tuple[float, float]:
-    if amplitude_um is not None and length_mm is not None:
-        return amplitude_um, length_mm
-    step = max(1, len(at) // _FIT_ON)
-    at, shift, noise = at[::step], shift[::step], noise[::step]
+def _estimated(points: _StandingPoints) -> AirSize:
+    """The likeliest of a small grid."""
+    points = points.of(slice(None, None, max(1, len(points.at) // _FIT_ON)))
     # a point that moved must not pass for strong turbulence
-    size = np.hypot(*(shift - np.median(shift, axis=0)).T)
-    calm = size <= 6 * np.median(size) + 1e-12
-    at, shift, noise = at[calm], shift[calm], noise[calm]
-    beyond = max(float(np.mean(shift**2) - np.mean(noise)), 0.0)
+    size = np.hypot(*(points.shift - np.median(points.shift, axis=0)).T)
+    points = points.of(size <= 6 * np.median(size) + 1e-12)
+    beyond = max(float(np.mean(points.shift**2) - np.mean(points.noise)), 0.0)
     scatter_um = max(UM_PER_MM * float(np.sqrt(beyond)), _LEAST_UM)
-    sizes = [scatter_um * a for a in _AMPLITUDES] if amplitude_um is None else [amplitude_um]
-    lengths = _LENGTHS_MM if length_mm is None else (length_mm,)
-    tried = [
-        (_Process(at, noise, s * MM_PER_UM, length).log_likelihood(shift), s, length)
-        for s in sizes
-        for length in lengths
-    ]
-    return max(tried)[1:]
+    tried = [AirSize(scatter_um * times, length) for times in _AMPLITUDES for length in _LENGTHS_MM]
+    return max(tried, key=lambda size: (_likelihood(points, size), size))
+
+
+def _likelihood(points: _StandingPoints, size: AirSize) -> float:
+    process = _Process(points.at, points.noise, size.amplitude_um * MM_PER_UM, size.length_mm)
+    return process.log_likelihood(points.shift, points.trend)
 
 
 def rms_um(shift_mm: ArrayLike) -> float:

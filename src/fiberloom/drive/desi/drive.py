@@ -37,6 +37,7 @@ from fiberloom.drive.port import (
     DriveModel,
     Programme,
     Suspect,
+    UnitSays,
     Wanted,
     none_answers,
     with_tube,
@@ -148,6 +149,12 @@ class DesiDrive:
         self.ids = sorted(await self._told(DesiCommand.VERSION, known))
         if not self.ids:
             raise none_answers(self.plane)
+
+    async def look(self) -> dict[int, UnitSays]:
+        """Which of the layout answer, by number, and whether they move; where they are none can say."""
+        here = await self._told(DesiCommand.VERSION, self.plane.positioner_id[~self.plane.offline].tolist())
+        moving = set(_still_moving(await self._told(DesiCommand.MOVE_STATUS, here)))
+        return {number: UnitSays(None, number in moving) for number in here}
 
     async def _told(self, command: DesiCommand, whom: Iterable[int]) -> dict[int, bytes]:
         """What these answer to a question; one that does not is asked again, `TRIES` times in all."""

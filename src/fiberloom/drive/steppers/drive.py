@@ -22,6 +22,7 @@ from fiberloom.drive.port import (
     DriveModel,
     Programme,
     Suspect,
+    UnitSays,
     Wanted,
     none_answers,
     with_tube,
@@ -115,6 +116,15 @@ class StepperDrive:
             raise none_answers(self.plane)
         self._found |= self._exchanged(told) | self._from_the_bench(told)
         await self._begin(told)
+
+    async def look(self) -> dict[int, UnitSays]:
+        """What those of the layout say that answer, by number; nothing moves."""
+        told = await self.link.ask(self.plane.positioner_id[~self.plane.offline].tolist())
+        unfit = self._exchanged(told) | self._from_the_bench(told)
+        return {
+            number: UnitSays(one.homed, one.moving, unfit[number].why if number in unfit else "")
+            for number, one in told.items()
+        }
 
     async def _begin(self, told: dict[int, UnitTold]) -> None:
         """Believes what these count; those without a datum search it, and go to and fro."""

@@ -77,7 +77,10 @@ class _Pool:
     def named(self, request: FaultRequest) -> int:
         positioner = request.positioner_id
         if positioner is None or positioner not in self.known:
-            raise InputError(f"--faults {request}: no such positioner")
+            numbers = f"{min(self.known)} to {max(self.known)}" if self.known else "none"
+            raise InputError(
+                f"--faults {request}: no such positioner in the layout, whose numbers are {numbers}"
+            )
         if positioner in self.free_ids:
             self.free_ids.remove(positioner)
         return positioner

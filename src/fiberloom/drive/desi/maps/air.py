@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fiberloom.metrology.turbulence import remove_turbulence
+from fiberloom.metrology.turbulence import AirSize, remove_turbulence
 from fiberloom.typing import Flags, Floats
 
 LEAST_FIBRES = 60
@@ -76,25 +76,23 @@ def air_of(
         return Air(np.zeros_like(expected_mm), np.zeros(len(expected_mm)))
     noise = np.hypot(sigma_mm, _own_mm(expected_mm[rows], off_mm[rows], sigma_mm[rows]))
     few = rows[:: max(1, len(rows) // MOST_POINTS)]
-    size_um, length_mm = _size(standing)
     found = remove_turbulence(
         np.vstack([standing.places_mm, expected_mm[few]]),
         np.vstack([standing.off_mm, off_mm[few]]),
         np.concatenate([np.full(len(standing.places_mm), standing.sigma_mm), noise[few]]),
         expected_mm,
-        amplitude_um=size_um,
-        length_mm=length_mm,
+        size=_size(standing),
     )
     return Air(found.shift_mm, np.sqrt(found.variance_mm2))
 
 
-def _size(standing: StillPoints) -> tuple[float, float]:
+def _size(standing: StillPoints) -> AirSize:
     """Rms per coordinate in um and length in mm of the air, by what stands still: fibres err too much."""
     if len(standing.places_mm) < LEAST_STANDING:
-        return USUAL_UM, USUAL_MM
+        return AirSize(USUAL_UM, USUAL_MM)
     places = standing.places_mm
     found = remove_turbulence(places, standing.off_mm, standing.sigma_mm, places[:1])
-    return found.amplitude_um, found.length_mm
+    return AirSize(found.amplitude_um, found.length_mm)
 
 
 def _own_mm(places_mm: Floats, off_mm: Floats, sigma_mm: Floats) -> float:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fiberloom.drive.port import Drive
 from fiberloom.errors import InputError
 from fiberloom.operation.session.doctor.array import ArrayCheck, check_gateways
+from fiberloom.operation.session.doctor.by_drive import DriveCheck
 from fiberloom.operation.session.doctor.findings import DoctorFinding, DoctorLimits, Verdict, wrong
 from fiberloom.operation.session.doctor.here import (
     check_calibration,
@@ -45,8 +47,9 @@ class Doctor:
             check_clock(book, self.limits),
             owner := check_owner(book),
             check_exclusions(book, known.plane),
-            check_calibration(known.plane, known.maps, self.limits),
         ]
+        if known.plane.instrument.drive.by_maps:
+            findings.append(check_calibration(known.plane, known.maps, self.limits))
         if owner.trouble == "gateway in use":
             return findings  # the array is not asked: that would disturb its owner
         self.progress("asking the gateways")
@@ -63,6 +66,8 @@ class Doctor:
             hardware = await self.known.source.open()
         except InputError as error:
             return [wrong("bus", "no bus", str(error))]
+        if hardware.drive is not None:
+            return await self._of_drive(DriveCheck(plane, hardware, self.limits), hardware.drive)
         check = ArrayCheck(plane, hardware, self.limits)
         try:
             self.progress("asking the positioners")
@@ -74,6 +79,15 @@ class Doctor:
         finally:
             await check.client.close()
         return findings + self._compare(check.misses_mm(reported_mm))
+
+    async def _of_drive(self, check: DriveCheck, drive: Drive) -> list[DoctorFinding]:
+        try:
+            self.progress("asking the positioners")
+            findings = await check.bus()
+            self.progress("taking an image")
+            return findings + await check.look()
+        finally:
+            await drive.close()
 
     def _compare(self, miss_mm: np.ndarray) -> list[DoctorFinding]:
         if len(miss_mm) >= 3 and np.median(miss_mm) > FAR_MM:
