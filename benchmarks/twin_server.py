@@ -175,11 +175,15 @@ def beside_control(how: Served) -> dict:
         said = [control.communicate()[0] for control in controls]
     if any(control.returncode for control in controls):
         raise SystemExit("--control: the system allows no real-time priority; run as root")
-    return result | {"control": compared(result["late_ticks"], dict(zip(cores, said, strict=True)))}
+    return result | {"control": compared(result, dict(zip(cores, said, strict=True)))}
 
 
-def compared(late_ticks: list[dict], said: dict[int, str]) -> dict:
-    """What the control threads missed, by core, and how many of the late ticks are the machine's."""
+def compared(result: dict, said: dict[int, str]) -> dict:
+    """What the control threads missed, by core, and how many late ticks are the machine's.
+
+    The first of those that were late by themselves are told one by one: the machine's are counted of these.
+    """
+    late_ticks, by_themselves = result["late_ticks"], sum(result["first_by_cause"].values())
     out, held = {}, {}
     for core, text in said.items():
         lines = [line.split() for line in text.splitlines()]
@@ -187,7 +191,11 @@ def compared(late_ticks: list[dict], said: dict[int, str]) -> dict:
         out[f"core {core}"] = {"ticks": ticks, "share_kept": 1.0 - missed / ticks, "worst_ms": 1e3 * worst_s}
         held[core] = [(float(begin), float(end)) for _, begin, end in lines[:-1]]
     by_machine = sum(is_machines(tick, held.get(tick["core"], [])) for tick in late_ticks)
-    return out | {"late_by_themselves": len(late_ticks), "of_them_the_machine": by_machine}
+    return out | {
+        "late_by_themselves": by_themselves,
+        "told": len(late_ticks),
+        "of_told_the_machine": by_machine,
+    }
 
 
 def is_machines(tick: dict, held: list[tuple[float, float]]) -> bool:

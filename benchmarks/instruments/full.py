@@ -53,8 +53,8 @@ class FullField:
     within: int
     """Of these, in truth."""
     requirement_um: float
-    worst_um: float
-    """Of the healthy, in truth."""
+    worst_um: float | None
+    """Of the healthy, in truth; None: none is healthy."""
     moves: int
     named: int
     """With a target, and a fault that is told."""
@@ -87,7 +87,7 @@ class FullField:
             f"{self.assigned}" + (f", {self.left_out} left out" if self.left_out else ""),
             f"{self.within} of {self.healthy}",
             f"{100.0 * self.within / max(self.assigned, 1):.2f} %",
-            f"{self.worst_um:.2f} of {self.requirement_um:g} um",
+            "-" if self.worst_um is None else f"{self.worst_um:.2f} of {self.requirement_um:g} um",
             f"{self.moves}",
             f"{self.named}",
             f"{self.cpu_s:.0f} s",

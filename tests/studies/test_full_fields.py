@@ -21,7 +21,7 @@ ROW = full.FullField("pfs", 2394, 2216, 2216, 2216, 5.0, 4.9, 12, 0, 69, 84.0, 0
         ({"code": 1}, ["exit code 1"]),
         ({"cpu_s": 601.0}, ["more than 600 CPU s"]),
         ({"memory_gib": 8.1}, ["more than 8 GiB"]),
-        ({"healthy": 0, "within": 0}, ["no fibre was observed"]),
+        ({"healthy": 0, "within": 0, "worst_um": None}, ["no fibre was observed"]),
     ],
 )
 def test_a_row_is_met_only_where_nothing_is_missed(wrong, said):

@@ -18,6 +18,7 @@ UNITS = draw_units(PLANE, seed=11)
 UNITS.firmware["host_timeout_ms"][16] = 500.0  # this one slows down on its trajectory: nobody talks to it
 IDS = [int(i) for i in PLANE.positioner_id]
 HOME, STOP, OPEN_LOOP_BETA, TRACE, READ_TRACE = 20, 15, 125, 240, 243
+MORE_MARGIN = 111
 STATUS = 3
 
 
@@ -103,6 +104,26 @@ def arrivals(side_by_side, kernel=""):
 @pytest.mark.parametrize("kernel", core.KERNELS)
 def test_so_are_landings_and_settling(kernel):
     assert arrivals(False) == arrivals(True, kernel)
+
+
+def margins(side_by_side, margin_deg):
+    """Two moves of all. Before the second one, when lanes have had their laws, they get another margin."""
+    twin = Twin(PLANE, UNITS, seed=4, threads=1, side_by_side=side_by_side, neighbours=False)
+    for number in IDS:
+        goto(twin, number, 12.0, 168.0)
+    replies = twin.run(1.0)
+    twin.send((encode(number, MORE_MARGIN, 1), struct.pack("<i", margin_deg)) for number in IDS)
+    for number in IDS:
+        goto(twin, number, 30.0, 150.0)
+    replies += twin.run(0.3)
+    twin.inject(Fault("blocked", IDS[2], "alpha"))
+    return repr(replies + twin.run(0.7)).encode() + twin.truth().tobytes()
+
+
+def test_lanes_have_the_parameters_that_came_over_the_bus():
+    alone = margins(False, 120)
+    assert margins(True, 120) == alone
+    assert margins(False, 0) != alone
 
 
 def motion(pieces, read):

@@ -24,7 +24,7 @@ int64_t change_q30(const fl_profile_state_t &p) {
     return next > p.total_ticks - p.ramp_ticks ? -p.acceleration_q30 : 0;
 }
 
-// Ticks of a landing that do not reach the target, not all of them: no step is longer than the next one.
+// Ticks of a landing that do not reach the target, not all of them: no step is longer than the one before.
 uint32_t landing_ticks(const fl_axis_t &a, uint32_t most) {
     const int32_t left_cnt = fl_abs_i32(fl_sub_i32(a.plan[a.leg].target_cnt, a.raw_cnt));
     const int32_t step_cnt = fl_landing_step(left_cnt, a.law.landing_step_cnt);
