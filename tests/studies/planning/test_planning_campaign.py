@@ -142,6 +142,15 @@ def test_five_of_a_thousand_may_fail_at_three_millimetres():
     assert of_count(6, 5, 2000).verdict == Verdict.MET
 
 
+def test_pairs_that_would_fail_if_motions_went_up_to_the_hard_stops_are_told():
+    off = {"7": "no way alone that keeps 1 deg to the hard stops, cells of 0.5 deg"}
+    lines = [line(3, rightly=off), line(4, rightly={"7": "no way alone, cells of 0.5 deg"})]
+    lines += [line(5, rightly=off, failed={"8": "x"}), line(6, rightly=off)]
+    said = "3 mm: 2 pairs without a failure only as motions keep off the hard stops: 3, 6"
+    assert goals.only_off_the_stops(3.0, lines) == [said]
+    assert goals.only_off_the_stops(3.0, lines[1:3]) == []
+
+
 def test_refused_rightly_is_no_failure():
     pocket = line(0, rightly={"7": "no way alone"})
     found = cells([pocket, *GOOD[1:]], ASKED[2.0])
