@@ -3,12 +3,13 @@
 import json
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks.faults.campaign import LINES
-from benchmarks.planning import campaign, goals, pairs
-from benchmarks.planning.builds import BUILD, claim
+from benchmarks.planning import builds, campaign, goals, pairs
+from benchmarks.planning.builds import BUILD, claim, mark_of_build
 from benchmarks.planning.goals import ASKED, PAIRS, Cell, Verdict, cells, exit_code, of_count, of_figure
 
 from fiberloom.errors import InputError
@@ -62,6 +63,14 @@ def test_results_of_another_build_are_not_mixed(tmp_path):
     assert len(kept(tmp_path)) == 1
     with pytest.raises(InputError, match="another array"):
         claim(tmp_path / "hexagon-7-2mm", "of other arms")
+
+
+@pytest.mark.parametrize("judge", ["bodies.py", "campaign.py", "oracle.py", "pockets.py"])
+def test_results_that_were_judged_otherwise_are_of_another_build(monkeypatch, judge):
+    mine, read = mark_of_build(), Path.read_bytes
+    path = Path(builds.__file__).with_name(judge)
+    monkeypatch.setattr(Path, "read_bytes", lambda file: read(file) + b"#" * (file == path))
+    assert mark_of_build.__wrapped__()["build"] != mine["build"]
 
 
 def test_a_positioner_that_has_a_way_but_is_refused_is_a_failure_with_its_files(tmp_path, monkeypatch):
