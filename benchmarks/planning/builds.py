@@ -12,15 +12,20 @@ from fiberloom import _core
 from fiberloom.errors import InputError
 
 BUILD = "build.json"
+JUDGES = ("bodies", "campaign", "mutants", "oracle", "pairs", "pockets")
+"""Modules of this folder that decide what is said of a plan."""
 Mark = dict[str, str]
 
 
 @cache
 def mark_of_build() -> Mark:
-    """The compiled core and planning's Python by their content; the commit, to be found again."""
+    """The compiled core, planning's Python and what judges plans by their content; the commit, to be found
+    again.
+    """
     core = Path(_core.__file__)
     package = core.parent
-    files = [core, *sorted((package / "planning").glob("*.py"))]
+    judges = [Path(__file__).with_name(f"{name}.py") for name in JUDGES]
+    files = [core, *sorted((package / "planning").glob("*.py")), *judges]
     mark = hashlib.sha256()
     for file in files:
         mark.update(file.read_bytes())

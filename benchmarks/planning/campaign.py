@@ -88,7 +88,7 @@ def run(asked: argparse.Namespace) -> int:
             whys.append(f"{buffer_mm:g} mm, {array.plane.n} positioners: no goals")
         rows[buffer_mm] = goals.cells(lines, wanted), wanted
         found += rows[buffer_mm][0]
-        whys += goals.told(buffer_mm, lines)
+        whys += goals.told(buffer_mm, lines) + goals.only_off_the_stops(buffer_mm, lines)
     if asked.again:
         return 0
     print("\n".join([*goals.table(rows), "", *whys]))
@@ -175,12 +175,18 @@ def pocketed(
             found = flood(bodies, row, (ends_deg[0][row], ends_deg[1][row]), buffer_mm, pockets)
             if found.way == Way.NONE:
                 others = f" beside {len(pockets)} in pockets" if pockets else " alone"
-                off = f" that keeps {found.room_deg:g} deg to the hard stops" if found.room_deg else ""
-                proven[number] = f"no way{others}{off}, cells of {found.cell_deg:g} deg"
+                near = np.intersect1d(list(pockets), bodies.neighbours(row, buffer_mm)).astype(int)
+                room_deg = max([found.room_deg, *(pockets[k].room_deg for k in near)])
+                proven[number] = f"no way{others}{_off(room_deg)}, cells of {found.cell_deg:g} deg"
                 if found.pocket is not None:
                     pockets[row] = found.pocket
         if len(proven) == before:
             return proven
+
+
+def _off(room_deg: float) -> str:
+    """What a proof keeps to the hard stops, and a way up to them could undo."""
+    return f" that keeps {room_deg:g} deg to {goals.STOPS}" if room_deg else ""
 
 
 def _one_too_many(
@@ -191,7 +197,8 @@ def _one_too_many(
         near = np.intersect1d(arrive, bodies.neighbours(other, buffer_mm))
         if row in near and meets_one(pocket, bodies.lines_of(near, goal_deg), buffer_mm):
             name = bodies.positioner_id[other]
-            return f"not beside all that arrive: {name}, in a pocket, meets one of their goals"
+            where = f"in a pocket{_off(pocket.room_deg)}"
+            return f"not beside all that arrive: {name}, {where}, meets one of their goals"
     return None
 
 

@@ -14,6 +14,8 @@ PAIRS = 1000
 """So many a goal asks for. With fewer none is met, but one can be missed."""
 FEW = 20
 """With fewer, a median is not even missed."""
+STOPS = "the hard stops"
+"""In a proof that holds only for motions that keep some room to them."""
 
 
 class Verdict(StrEnum):
@@ -153,6 +155,19 @@ def told(buffer_mm: float, lines: list[Line]) -> list[str]:
             whys += [f"not verified: {line['why']}"] if not line.get("verified", True) else []
             out.append(f"{name}: {'; '.join(whys)}")
     return out
+
+
+def only_off_the_stops(buffer_mm: float, lines: list[Line]) -> list[str]:
+    """The pairs without a failure that would have one if motions might go up to the hard stops."""
+    seeds = [
+        str(line["seed"])
+        for line in lines
+        if not failed(line) and any(STOPS in how for how in line.get("rightly", {}).values())
+    ]
+    if not seeds:
+        return []
+    what = f"pairs without a failure only as motions keep off {STOPS}"
+    return [f"{buffer_mm:g} mm: {len(seeds)} {what}: {', '.join(seeds)}"]
 
 
 def exit_code(found: list[Cell]) -> int:

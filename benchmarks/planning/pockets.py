@@ -7,7 +7,7 @@ no chain of other cells, corners included, leads from the start to the goal, the
 proven. A cell is open if the arm in its middle is farther than w from all bodies. If a chain of open cells,
 edge to edge, leads there, there is a way. Between both the cells are made smaller; only those that can be
 come to and are not open are looked at again. At last they are made smaller still around one end alone: what
-cannot leave there is in a pocket.
+cannot leave its start is in a pocket; what cannot come to its goal from outside may be anywhere but there.
 
 Where no pocket is shown so, the same is asked within the travel that a motion may use, which keeps
 `STOP_ROOM_DEG` to the hard stops: nearer the firmware may refuse it, since it limits the angle of the motor.
@@ -24,7 +24,7 @@ overlaps one of these goals wherever in its pocket it is, they cannot all arrive
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -67,6 +67,8 @@ class Pocket:
     """Both ends of its centre line (complex, mm) in the middle of each of its cells."""
     within_mm: float
     """w: so far its arm is at most from there."""
+    room_deg: float = 0.0
+    """Kept to the hard stops."""
 
 
 @dataclass(frozen=True)
@@ -117,14 +119,15 @@ def _flood(
         for other in near:
             area = _area(grid.less(area, other, buffer_mm), first, CORNERS)
         if not area[last]:
-            pocket = grid.pocket(area) if area[first] else None
-            return Found(Way.NONE, cell_deg, pocket, room_deg)
+            return Found(Way.NONE, cell_deg, grid.pocket(area, room_deg), room_deg)
         # where it meets none of the places of another is not asked: beside pockets only proofs count
         if not near and _area(open_, first, EDGES)[last]:
             return Found(Way.THERE, cell_deg, None, room_deg)
-    for here, there in (ends_deg, ends_deg[::-1]):
-        if shut_in := _Window(grid, here, area, open_).found(there, buffer_mm, room_deg):
-            return shut_in
+    start, goal = ends_deg
+    if shut_in := _Window(grid, start, area, open_).found(goal, buffer_mm, room_deg):
+        return shut_in
+    if shut_in := _Window(grid, goal, area, open_).found(start, buffer_mm, room_deg):
+        return replace(shut_in, pocket=None)  # it cannot come there, and may be anywhere else
     return Found(Way.UNKNOWN, CELLS_DEG[-1], None, room_deg)
 
 
@@ -241,11 +244,13 @@ class _Grid:
             left[first, second] = ~places.all_met(p, q, below_mm)
         return left
 
-    def pocket(self, cells: Flags) -> Pocket:
-        """Where it can be: these cells."""
+    def pocket(self, cells: Flags, room_deg: float) -> Pocket | None:
+        """Where it can be: these cells; None where there are none, as it overlaps a body from the start."""
+        if not cells.any():
+            return None
         first, second = np.nonzero(cells)
         ends = self.bodies.lines(self.row, self.middles[0][first], self.middles[1][second])
-        return Pocket(self.row, ends, self.within_mm)
+        return Pocket(self.row, ends, self.within_mm, room_deg)
 
 
 class _Window:
@@ -253,8 +258,11 @@ class _Window:
 
     def __init__(self, grid: _Grid, end_deg: Floats, area: Flags, open_: Flags) -> None:
         self.grid, self.end_deg = grid, end_deg
-        inside = np.argwhere(_area(open_, grid.cell_of(end_deg), EDGES))
-        low, end = (inside.min(axis=0), inside.max(axis=0) + 1) if len(inside) else np.zeros((2, 2), int)
+        here = grid.cell_of(end_deg)
+        inside = _area(open_, here, EDGES)
+        inside[here] = True
+        cells = np.argwhere(inside)
+        low, end = cells.min(axis=0), cells.max(axis=0) + 1
         around = round(AROUND_DEG / grid.cell_deg)
         low, end = np.maximum(low - around, 0), np.minimum(end + around, area.shape)
         box = tuple(slice(*both) for both in zip(low, end, strict=True))
@@ -271,7 +279,7 @@ class _Window:
             area = _area(~shut, fine.cell_of(self.end_deg), CORNERS)
             # of another end outside it is the nearest cell
             if not self._leaves(area) and not area[fine.cell_of(other_deg)]:
-                return Found(Way.NONE, cell_deg, self._pocket(area), room_deg)
+                return Found(Way.NONE, cell_deg, self._pocket(area, room_deg), room_deg)
         return None
 
     def _leaves(self, area: Flags) -> bool:
@@ -279,8 +287,9 @@ class _Window:
         borders = np.array([[area[0].any(), area[:, 0].any()], [area[-1].any(), area[:, -1].any()]])
         return bool((borders & self.leads_out).any())
 
-    def _pocket(self, area: Flags) -> Pocket:
+    def _pocket(self, area: Flags, room_deg: float) -> Pocket | None:
         """In the wider cells of the grid."""
         n = len(area) // len(self.area)
         wide = area.reshape(len(self.area), n, -1, n).any(axis=(1, 3))
-        return _Grid(self.grid.bodies, self.grid.row, self.grid.cell_deg, self.limits_deg).pocket(wide)
+        cells = _Grid(self.grid.bodies, self.grid.row, self.grid.cell_deg, self.limits_deg)
+        return cells.pocket(wide, room_deg)

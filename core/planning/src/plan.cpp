@@ -155,7 +155,7 @@ bool Planner::find_paths() {
     if (!without.empty()) {
         statistics_.expansions += repair.expansions();
         goals_.settle();
-        keep_ways(std::move(paths));
+        if (!std::exchange(trial_, false)) keep_ways(std::move(paths));
         return false;
     }
     const bool free = repair.run(wanted, last);

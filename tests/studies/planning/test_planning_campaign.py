@@ -3,12 +3,13 @@
 import json
 from argparse import Namespace
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks.faults.campaign import LINES
-from benchmarks.planning import campaign, goals, pairs
-from benchmarks.planning.builds import BUILD, claim
+from benchmarks.planning import builds, campaign, goals, pairs
+from benchmarks.planning.builds import BUILD, claim, mark_of_build
 from benchmarks.planning.goals import ASKED, PAIRS, Cell, Verdict, cells, exit_code, of_count, of_figure
 
 from fiberloom.errors import InputError
@@ -62,6 +63,14 @@ def test_results_of_another_build_are_not_mixed(tmp_path):
     assert len(kept(tmp_path)) == 1
     with pytest.raises(InputError, match="another array"):
         claim(tmp_path / "hexagon-7-2mm", "of other arms")
+
+
+@pytest.mark.parametrize("judge", ["bodies.py", "campaign.py", "oracle.py", "pockets.py"])
+def test_results_that_were_judged_otherwise_are_of_another_build(monkeypatch, judge):
+    mine, read = mark_of_build(), Path.read_bytes
+    path = Path(builds.__file__).with_name(judge)
+    monkeypatch.setattr(Path, "read_bytes", lambda file: read(file) + b"#" * (file == path))
+    assert mark_of_build.__wrapped__()["build"] != mine["build"]
 
 
 def test_a_positioner_that_has_a_way_but_is_refused_is_a_failure_with_its_files(tmp_path, monkeypatch):
@@ -140,6 +149,15 @@ def test_five_of_a_thousand_may_fail_at_three_millimetres():
     assert cells([*bad[:5], *GOOD[5:]], ASKED[3.0])[1].verdict == Verdict.MET
     assert cells([*bad, *GOOD[6:]], ASKED[3.0])[1].verdict == Verdict.MISSED
     assert of_count(6, 5, 2000).verdict == Verdict.MET
+
+
+def test_pairs_that_would_fail_if_motions_went_up_to_the_hard_stops_are_told():
+    off = {"7": "no way alone that keeps 1 deg to the hard stops, cells of 0.5 deg"}
+    lines = [line(3, rightly=off), line(4, rightly={"7": "no way alone, cells of 0.5 deg"})]
+    lines += [line(5, rightly=off, failed={"8": "x"}), line(6, rightly=off)]
+    said = "3 mm: 2 pairs without a failure only as motions keep off the hard stops: 3, 6"
+    assert goals.only_off_the_stops(3.0, lines) == [said]
+    assert goals.only_off_the_stops(3.0, lines[1:3]) == []
 
 
 def test_refused_rightly_is_no_failure():

@@ -1,8 +1,10 @@
 """The flood proves pockets, and only pockets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from benchmarks.planning import pairs, pockets
+from benchmarks.planning import campaign, pairs, pockets
 from benchmarks.planning.bodies import Bodies, between, read_bodies
 from benchmarks.planning.campaign import pocketed
 from benchmarks.planning.pockets import Places, Way, flood, meets_one
@@ -79,6 +81,45 @@ def test_what_opens_only_where_no_motion_goes_is_a_pocket(passes_below_deg, way,
         assert "keeps 1 deg to the hard stops" in pocketed(bodies, [1], (ends[:1], ends[1:]), BUFFER_MM)[1]
 
 
+def stretched_beside(gap_mm) -> tuple[Bodies, tuple]:
+    """Starts so far from a disc, goes away from it; another disc overlaps it far from there, stretched."""
+    ends = np.array([40.0625, 60.0625]), np.array([40.0625, 100.0625])  # in the middle of cells
+    elbow, along = 7.4 * np.exp(1j * np.radians(40.0625)), np.exp(1j * np.radians(100.125))
+    near = elbow + 14.0 * along + (BUFFER_MM + 1.0 + gap_mm) * along * -1j
+    far = 7.4 * np.exp(1j * np.radians(6.0)) + 8.0 * np.exp(1j * np.radians(12.0))
+    bodies = made([0.0], [(abs(disc), np.degrees(np.angle(disc))) for disc in (near, far)])
+    return replace(bodies, stops_deg=np.array([[-4.0, 60.0], [-4.0, 120.0]])), ends
+
+
+def test_one_that_starts_next_to_a_body_is_looked_at_where_it_starts():
+    """No cell there is open before the finest ones."""
+    bodies, ends = stretched_beside(0.02)
+    assert flood(bodies, 0, ends, BUFFER_MM).way == Way.UNKNOWN
+    assert flood(bodies, 0, ends[::-1], BUFFER_MM).way == Way.UNKNOWN
+
+
+def test_one_that_overlaps_a_body_where_it_starts_is_nowhere():
+    """By less than wide cells tell: no places of it count."""
+    bodies, ends = stretched_beside(-0.012)
+    found = flood(bodies, 0, ends, BUFFER_MM)
+    assert (found.way, found.pocket) == (Way.NONE, None)
+
+
+def test_where_a_goal_is_shut_in_nobody_is(monkeypatch):
+    """As above, the other way round; around the start is too much to be looked at."""
+    elbow = 7.4 * np.exp(1j * np.radians(-3.2))
+    disc = elbow + (14.7276 + BUFFER_MM + 1.0) * np.exp(1j * np.radians(86.8))
+    bodies = made([0.0], [(abs(disc), np.degrees(np.angle(disc))), (6.0, 65.0)])
+    bodies = replace(bodies, stops_deg=np.array([[-4.0, 40.0], [40.0, 230.0]]))
+    ends = np.array([0.0, 100.0]), np.array([0.0, 60.0])
+    there = flood(bodies, 0, ends[::-1], BUFFER_MM)
+    assert there.way == Way.NONE
+    assert there.pocket is not None
+    monkeypatch.setattr(pockets, "MOST_AROUND", 170_000)
+    found = flood(bodies, 0, ends, BUFFER_MM)
+    assert (found.way, found.cell_deg, found.pocket) == (Way.NONE, 1 / 16, None)
+
+
 def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
     """The first has its elbow between two discs; the second's goal lies across that elbow."""
     bodies = made([0.0, -22.0], [(6.0, 150.0), (6.0, 210.0)])
@@ -92,6 +133,23 @@ def test_who_is_kept_away_by_one_in_a_pocket_is_refused_rightly():
     assert pocketed(bodies, [2], (start, goal), BUFFER_MM) == {}
     free = made([0.0, -22.0], [])
     assert pocketed(free, [1, 2], (start, goal), BUFFER_MM) == {}
+
+
+@pytest.mark.parametrize(
+    ("goal_deg", "how"),
+    [
+        ((268.1, 122.0), "1, in a pocket that keeps 1 deg to the hard stops, meets"),
+        ((90.0, 170.0), "no way beside 1 in pockets that keeps 1 deg to the hard stops"),
+    ],
+)
+def test_what_hangs_on_a_pocket_says_what_that_keeps_to_the_hard_stops(monkeypatch, goal_deg, how):
+    bodies = made([0.0, -22.0], [])
+    start = np.array([[180.0, 180.0], [90.0, 170.0]])
+    goal = np.array([[20.0, 120.0], goal_deg])
+    there = pockets.Pocket(0, bodies.lines(0, *np.radians(start[:1].T)), 0.0, 1.0)
+    shut_in = [pockets.Found(Way.NONE, 0.5, there, 1.0), pockets.Found(Way.NONE, 0.5)]
+    monkeypatch.setattr(campaign, "flood", lambda bodies, row, *_: shut_in[row])
+    assert how in pocketed(bodies, [1, 2], (start, goal), BUFFER_MM)[2]
 
 
 def test_of_two_goals_that_one_in_a_pocket_can_only_leave_alone_one_by_one_one_is_refused_rightly():

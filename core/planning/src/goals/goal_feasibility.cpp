@@ -375,9 +375,7 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     return false;
 }
 
-bool GoalFeasibility::refine(PositionerIndex i) {
-    Goal &goal = goals_[i];
-    if (goal.finer >= finest) return false;
+void GoalFeasibility::make_finer(Goal &goal) {
     if (goal.finer == 1 && goal.finer_at_ends == 1) {
         goal.finer_at_ends = fineness_at_ends;
     } else {
@@ -387,8 +385,20 @@ bool GoalFeasibility::refine(PositionerIndex i) {
         goal.fine = {};
     }
     goal.hastened = true;
-    goal.steps_alone = make_robot(i).steps_alone();
-    return true;
+}
+
+bool GoalFeasibility::refine(PositionerIndex i) {
+    Goal &goal = goals_[i];
+    const Goal before = goal;
+    // where one axis has finer lines than the other they no longer go one line each in the same step: what
+    // was a way past the bodies at rest need not be one
+    while (goal.finer < finest) {
+        make_finer(goal);
+        goal.steps_alone = make_robot(i).steps_alone();
+        if (goal.steps_alone >= 0) return true;
+    }
+    goal = before;
+    return false;
 }
 
 bool GoalFeasibility::spend_one(PositionerIndex i) {

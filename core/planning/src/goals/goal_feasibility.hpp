@@ -33,7 +33,7 @@ class GoalFeasibility {
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
     // Makes the grid of a positioner finer around its start and its goal; asked again, twice as fine
-    // everywhere instead, and again. False if it is as fine as grids are.
+    // everywhere instead, and again. False, and as before, if no finer one has a way past what does not move.
     bool refine(PositionerIndex i);
     // One whose grid is finer everywhere moves at a part of its speed: gives it one that is finer only where
     // its way is narrow, if the way past what does not move then takes fewer steps.
@@ -120,6 +120,7 @@ class GoalFeasibility {
     bool settle_pairs();
     void wake_still(PositionerIndex i, PositionerIndex j);
     bool find_path_alone(PositionerIndex i);
+    static void make_finer(Goal &goal);
     bool spend_one(PositionerIndex i);
     bool safe(PositionerIndex i, const Legs &legs) const;
     bool try_place(PositionerIndex i, Angles place, bool rests);

@@ -76,7 +76,7 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     bool done = false;
     do {
         const std::int64_t before = work();
-        for (int k = 0; k < starts_at_once && !done && may_start_again(behind); ++k)
+        for (int k = 0; k < starts_at_once && !done && may_start_again(behind) && !enough(); ++k)
             done = start_again(
                 last, paths_.arrival(last) - std::max(1, behind >> random_.below(most_halvings)), far);
         done = done || squeeze_in_the_end(last, wanted_steps);
