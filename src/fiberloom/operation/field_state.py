@@ -71,7 +71,7 @@ class FieldState:
         """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
-        self._lit = LitAgain(len(plane))
+        self._lit, self._elsewhere = LitAgain(len(plane)), LitAgain(len(plane))
         self.here_deg = plane.offline_position_deg.copy()
         """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
         self.wire_deg = np.zeros((len(plane), 2))
@@ -174,8 +174,9 @@ class FieldState:
                 text = "answers again, and is where it reports"
                 self.recorder.event("answers", text, int(self.plane.positioner_id[i]))
         judged = self.hearing.judged(evidence)
+        worse = self._worse_than_dark(judged, image.seen)
         for i, fault in enumerate(judged):
-            if fault is not None and self.faults[i] is None:
+            if fault is not None and (self.faults[i] is None or worse[i]):
                 self.flag(i, fault, f"after a move: {ended[i] or 'not asked to move'}")
         well = image.seen & np.array([fault is None for fault in judged])
         self._book_lit(well & is_there(image.xy_mm, evidence.reported_mm, allowed_mm))
@@ -185,6 +186,17 @@ class FieldState:
         unfinished[back] = True  # the plan went round them
         again: Flags = self.mobile & (away | unfinished)
         return again
+
+    def _worse_than_dark(self, judged: list[FibreStatus | None], seen: Flags) -> Flags:
+        """(N,) dark until now, and silent, or seen in two images in a row where they do not report to be.
+
+        A dark one moves blind and is planned round where it reports: that must hold.
+        """
+        dark = np.array([fault is FibreStatus.DARK for fault in self.faults])
+        worse: Flags = dark & np.array([fault in FROM_SILENCE for fault in judged])
+        elsewhere = seen & np.array([fault in NOT_WHERE_IT_SAYS for fault in judged])
+        worse[self._elsewhere.rows(dark, elsewhere)] = True
+        return worse
 
     def _book_lit(self, there: Flags) -> None:
         """Those that were dark and are seen again are well, and are corrected; the record keeps both."""
