@@ -105,7 +105,7 @@ def test_one_that_overlaps_a_body_where_it_starts_is_nowhere():
     assert (found.way, found.pocket) == (Way.NONE, None)
 
 
-def test_where_a_goal_is_shut_in_nobody_is(monkeypatch):
+def test_a_goal_that_is_shut_in_tells_no_place(monkeypatch):
     """As above, the other way round; around the start is too much to be looked at."""
     elbow = 7.4 * np.exp(1j * np.radians(-3.2))
     disc = elbow + (14.7276 + BUFFER_MM + 1.0) * np.exp(1j * np.radians(86.8))
