@@ -18,12 +18,20 @@ void add_outside(List<double> &lines, double from, double step, double end, doub
     if (room - n * step > least) lines.push_back(end);
 }
 
+// Into how many parts what lies between two lines is cut.
+int parts_of(double from, double to, const GridSpan &span, const FineLines &fine) {
+    const double middle = from + 0.5 * (to - from);
+    const double off = std::min(std::abs(middle - span.start_rad), std::abs(middle - span.goal_rad));
+    const int where_narrow = to > fine.low_rad && from < fine.high_rad ? fine.parts : 1;
+    return std::max(where_narrow, off < span.ends_rad ? span.finer_at_ends : 1);
+}
+
 // The same lines, and those that are closer together.
-List<double> with_fine(const List<double> &lines, const FineLines &fine) {
+List<double> with_fine(const List<double> &lines, const GridSpan &span, const FineLines &fine) {
     List<double> out;
     for (int k = 0; k + 1 < lines.size(); ++k) {
         const double from = lines[k], way = lines[k + 1] - from;
-        const int parts = lines[k + 1] > fine.low_rad && from < fine.high_rad ? fine.parts : 1;
+        const int parts = parts_of(from, lines[k + 1], span, fine);
         for (int part = 0; part < parts; ++part) out.push_back(from + way * part / parts);
     }
     out.push_back(lines.back());
@@ -50,8 +58,7 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine)
     add_outside(lines_, lower, step_rad, low, fine.low_rad <= low ? least / fine.parts : least);
     add_outside(lines_, upper, step_rad, high, fine.high_rad >= high ? least / fine.parts : least);
     std::sort(lines_.begin(), lines_.end());
-    if (fine.parts > 1) lines_ = with_fine(lines_, fine);
-    if (span.finer_at_ends > 1) refine_ends(span);
+    lines_ = with_fine(lines_, span, fine);
     start_ = find(lines_, span.start_rad);
     goal_ = find(lines_, span.goal_rad);
 
@@ -59,17 +66,6 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine)
     for (int line = 0; line < size(); ++line)
         for (int s = 0; s < slots; ++s)
             turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
-}
-
-void AxisGrid::refine_ends(const GridSpan &span) {
-    const List<double> wide = lines_;
-    for (int line = 0; line + 1 < wide.size(); ++line) {
-        const double from = wide[line], way = wide[line + 1] - from, middle = from + 0.5 * way;
-        const double off = std::min(std::abs(middle - span.start_rad), std::abs(middle - span.goal_rad));
-        for (int k = 1; k < span.finer_at_ends && off < span.ends_rad; ++k)
-            lines_.push_back(from + way * k / span.finer_at_ends);
-    }
-    std::sort(lines_.begin(), lines_.end());
 }
 
 bool AxisGrid::straight(int line, VelocityChange change) const {

@@ -80,7 +80,6 @@ class AxisGrid {
         }
     }
     double slot_angle(int line, int slot) const;
-    void refine_ends(const GridSpan &span);
 
     List<double> lines_;
     List<Turn> turns_;
