@@ -51,7 +51,7 @@ def test_one_that_stays_dark_is_told_at_the_end(tmp_path):
 
 @pytest.mark.parametrize(("worse", "told"), [("lying", "lying"), ("dead", "dead")])
 def test_one_that_was_dark_and_does_not_follow_either_is_told_so(tmp_path, worse, told):
-    """It is planned round where it reports while it is dark: once it is seen elsewhere, or silent, no more."""
+    """While it is dark it is planned round where it reports: no more once it is seen elsewhere, or silent."""
     summary, kinds = observed(tmp_path, f"dark=#{VICTIM}+20,{worse}=#{VICTIM}@14", 4)
     assert kinds.index("dark") < kinds.index(told)
     assert summary["faults"] == {told: [VICTIM]}
