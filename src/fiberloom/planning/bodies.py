@@ -94,6 +94,13 @@ def travel_rad(plane: FocalPlane) -> Floats:
     return _travel_rad(plane, plane.hard_stops_deg, plane.limits_deg)
 
 
+def beyond_range_deg(plane: FocalPlane) -> Floats:
+    """(2, 2) by axis: added to the lowest and highest angle of targets, how far ways may go, deg."""
+    approach_deg = np.array([axis.approach_deg for axis in plane.instrument.axes])
+    folds_below = (approach_deg < 0.0) | (plane.limits_deg[:, 1] <= 0.0)
+    return np.where(folds_below[:, None], -BEYOND_RANGE_DEG[::-1], BEYOND_RANGE_DEG)
+
+
 def travels_rad(plane: FocalPlane) -> Floats | None:
     """(N, 2, 2) the same of each positioner; None: all have the same."""
     own = plane.ranges
@@ -103,8 +110,7 @@ def travels_rad(plane: FocalPlane) -> Floats | None:
 def _travel_rad(plane: FocalPlane, stops: Floats, range_deg: Floats) -> Floats:
     """(..., 2, 2) between stops and around the range of targets (..., 2, 2) in deg."""
     approach_deg = np.array([axis.approach_deg for axis in plane.instrument.axes])
-    folds_below = (approach_deg < 0.0) | (plane.limits_deg[:, 1] <= 0.0)
-    wanted = range_deg + np.where(folds_below[:, None], -BEYOND_RANGE_DEG[::-1], BEYOND_RANGE_DEG)
+    wanted = range_deg + beyond_range_deg(plane)
     low = np.maximum(stops[..., 0] + STOP_ROOM_DEG, wanted[..., 0])
     high = np.minimum(stops[..., 1] - STOP_ROOM_DEG, wanted[..., 1])
     # never less than what targets and their approach need

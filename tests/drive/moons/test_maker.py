@@ -11,6 +11,7 @@ from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers import AxisSteps, KnownUnits
 from fiberloom.drive.steppers.found_arms import FoundArms
 from fiberloom.planning import Trajectory
+from fiberloom.planning.bodies import travel_rad, travels_rad
 
 
 @pytest.mark.parametrize("most", [0, 100, 256])
@@ -94,17 +95,42 @@ def test_one_that_a_plan_refuses_and_the_next_does_not_is_not_named(monkeypatch)
     assert sorted([*gone, *refused]) == list(range(7))
 
 
-def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
-    """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
+def longer_by(more_mm):
+    """A unit whose arms were found so much longer than the layout has them."""
     plane = fl.FocalPlane.of("moons", seed=0, n=1)
     steps = AxisSteps.of(plane.instrument)
-    circles = np.column_stack([plane.arms[:, :3], plane.l_beta_mm])
-    arms = FoundArms.of(plane, circles + 0.1)
-    unit = KnownUnits(steps, steps.home_deg[:, None], np.zeros((1, 2, 2, 1)), arms=arms)
+    arms = FoundArms.of(plane, np.column_stack([plane.arms[:, :3], plane.l_beta_mm]) + more_mm)
+    return plane, KnownUnits(steps, steps.home_deg[:, None], np.zeros((1, 2, 2, 1)), arms=arms)
+
+
+def test_ways_of_alpha_end_at_the_units_own_switches():
+    alpha_deg, beta_deg = np.rad2deg(travels_rad(maker._kept_within_limits(SEVEN)))[0]
+    np.testing.assert_allclose(alpha_deg, maker.limits_deg(SEVEN.instrument)[0])
+    np.testing.assert_allclose(beta_deg, np.rad2deg(travel_rad(SEVEN))[1])
+
+
+@pytest.mark.parametrize("more_mm", [-0.01, -0.02])
+def test_an_arm_that_unfolds_beside_its_limit_keeps_within_it(more_mm):
+    """Folded, its fibre is where the layout has it by another alpha, beyond what the unit lets it go to."""
+    plane, unit = longer_by(more_mm)
+    within = maker._limit_counts(plane.instrument, unit.steps)
+    time_s, alpha = np.array([0.0, 4.0, 8.0, 16.0]), np.array([-180.0, -180.0, -180.0, -120.0])
+    way = Trajectory(1, time_s, alpha, np.array([180.0, 183.0, 210.0, 240.0]))
+    beside = unit.steps.angles_deg(maker._counted(way, unit))[:, 0]
+    pair = maker._wave(way, np.zeros(2, dtype=np.int64), unit, within)
+    waves = np.stack([np.pad(w, (0, max(map(len, pair)) - len(w))) for w in pair], axis=1)[:, None]
+    assert maker._unfit(plane.instrument, unit.steps, np.zeros((1, 2), dtype=np.int64), waves) == {}
+    assert beside.min() < -180.2  # it would have been
+
+
+def test_an_axis_that_is_at_its_goal_waits_there_for_the_other():
+    """Arms that were found 0.1 mm longer need other angles of beta wherever alpha is on its way."""
+    plane, unit = longer_by(0.1)
     park = plane.instrument.positioner.park_deg
     time_s, alpha = np.array([0.0, 5.0, 10.0, 15.0]), np.array([park[0], -150.0, -80.0, -20.0])
     beta = np.array([park[1], 130.0, 100.0, 100.0])
-    pair = maker._wave(Trajectory(1, time_s, alpha, beta), np.zeros(2, dtype=np.int64), unit)
+    within = maker._limit_counts(plane.instrument, unit.steps)
+    pair = maker._wave(Trajectory(1, time_s, alpha, beta), np.zeros(2, dtype=np.int64), unit, within)
     assert (pair[0] >= 0).all()
     assert (pair[1] <= 0).all()
     end = np.array([[wave.sum() for wave in pair]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,10 @@ from fiberloom.drive.port import Wanted
 from fiberloom.drive.steppers.known import KnownUnits
 from fiberloom.drive.steppers.link import Leg
 from fiberloom.drive.steppers.steps import AxisSteps
-from fiberloom.instruments import Instrument
+from fiberloom.instruments import FocalPlane, Instrument
+from fiberloom.instruments.axis import Ranges
 from fiberloom.planning import Plan, PlanSettings, Trajectory, plan, plan_corrections
+from fiberloom.planning.bodies import beyond_range_deg
 from fiberloom.typing import Flags, Floats, Ints
 
 SETTINGS = PlanSettings(speed_deg_s=14.0, acceleration_deg_s2=56.0, grid_deg=11.7, in_hand_mm=0.3)
@@ -49,7 +51,8 @@ class WaveformMaker:
             rows = np.array([k for k, robot in enumerate(made.robots) if robot.moves], dtype=np.int64)
             if not len(rows):
                 return [], refused
-            waves = _waves(made, rows, counts, known)
+            within = _limit_counts(wanted.obstacles.instrument, known.steps)
+            waves = _waves(made, rows, counts, known, within)
             unfit = _unfit(wanted.obstacles.instrument, known.steps, counts[rows], waves)
             if not unfit:
                 break
@@ -92,14 +95,32 @@ def _planned(wanted: Wanted, moves: Flags) -> Plan:
     """Ways of those that `moves` (N,); the others stand."""
     goal = np.where(moves[:, None], wanted.goal_deg, wanted.here_deg)
     make = plan_corrections if wanted.small else plan
-    return make(
-        wanted.obstacles, wanted.here_deg, goal, seed=wanted.seed, approach_deg=0.0, settings=SETTINGS
+    plane = _kept_within_limits(wanted.obstacles)
+    return make(plane, wanted.here_deg, goal, seed=wanted.seed, approach_deg=0.0, settings=SETTINGS)
+
+
+def _kept_within_limits(plane: FocalPlane) -> FocalPlane:
+    """The same units, whose alpha is planned no farther than their interlocks let it go.
+
+    Of other instruments ways may go some degrees beyond the range of targets. Beta's limits are its stops, to
+    which all ways keep away.
+    """
+    targets_deg, stops_deg = (
+        np.tile(deg, (plane.n, 1, 1)) for deg in (plane.limits_deg, plane.hard_stops_deg)
     )
+    targets_deg[:, 0] = limits_deg(plane.instrument)[0] - beyond_range_deg(plane)[0]
+    return replace(plane, ranges=Ranges(targets_deg, stops_deg))
 
 
-def _waves(made: Plan, rows: Ints, counts: Ints, known: KnownUnits) -> Ints:
-    """Steps (K, m, 2) of all that move."""
-    both = [_wave(made.robots[row], counts[row], known.of_unit(row)) for row in rows.tolist()]
+def _limit_counts(instrument: Instrument, steps: AxisSteps) -> Ints:
+    """(2, 2) by end and axis: lowest and highest counts within the limits."""
+    ends = (limits_deg(instrument).T - steps.home_deg) / (steps.sign * steps.step_deg)
+    return np.stack([np.ceil(ends.min(axis=0)), np.floor(ends.max(axis=0))]).astype(np.int64)
+
+
+def _waves(made: Plan, rows: Ints, counts: Ints, known: KnownUnits, within: Ints) -> Ints:
+    """Steps (K, m, 2) of all that move, on their way `within` (2, 2) counts."""
+    both = [_wave(made.robots[row], counts[row], known.of_unit(row), within) for row in rows.tolist()]
     out = np.zeros((max(max(map(len, pair)) for pair in both), len(rows), 2), dtype=np.int64)
     for k, pair in enumerate(both):
         for axis, steps in enumerate(pair):
@@ -119,13 +140,17 @@ def _unfit(instrument: Instrument, steps: AxisSteps, before: Ints, waves: Ints) 
     )
 
 
-def _wave(robot: Trajectory, start: Ints, unit: KnownUnits) -> list[Ints]:
-    """Steps of alpha and beta along a trajectory, from counts `start` (2,).
+def _wave(robot: Trajectory, start: Ints, unit: KnownUnits, within: Ints) -> list[Ints]:
+    """Steps of alpha and beta along a trajectory, from counts `start` (2,), on the way `within` (2, 2).
+
+    Folded, an arm as it was found has its fibre where the layout's has it by another alpha, up to a degree
+    off: beside a limit a count on the way may ask for more than the unit lets it go.
 
     A waveform leaves out short turns, so an axis may come to its end from the other side than its plan does:
     then it is aimed as it really comes, for the gear has play.
     """
     way = _counted(robot, unit)
+    way[:-1] = np.clip(way[:-1], *within)
     for _ in range(AIMS):
         pair = [waveform(robot.time_s, way[:, axis], int(start[axis])) for axis in (0, 1)]
         last = np.array([np.sign(steps[np.flatnonzero(steps)[-1:]]).sum() for steps in pair])
