@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from peers import FakeCamera, http, server_that, value
+from camera_peers import FakeCamera, http, server_that, value
 
 from fiberloom.metrology.images import utc_text
 from fiberloom.metrology.sources import imagebytes
