@@ -128,12 +128,13 @@ def field_of(name: str, summary: dict[str, Any], cpu_s: float, memory_gib: float
 
 
 def observe(name: str, seed: int, folder: Path) -> FullField | str:
-    """Makes the targets and runs the command; in words where it left no summary."""
+    """Makes the targets and runs the command; in words where one of them left nothing to go by."""
     targets, out = folder / f"{name}-{seed}.csv", folder / f"{name}-{seed}"
     units = load_instrument(name).layout.n_positioners
     n = TARGETS_PER_UNIT * units
     made = [sys.executable, str(TARGETS_MAKER), str(targets), "--instrument", name]
-    subprocess.run([*made, "--n", str(n), "--seed", str(seed)], check=True)
+    if code := subprocess.run([*made, "--n", str(n), "--seed", str(seed)]).returncode:
+        return f"{TARGETS_MAKER.name} ended with {code}"
     (out / "summary.json").unlink(missing_ok=True)
     log = folder / f"{name}-{seed}.log"
     with (

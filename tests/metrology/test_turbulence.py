@@ -110,3 +110,13 @@ def test_terms_do_not_hide_the_size_of_the_air():
         standing, shift, places, _, trend = edge_of_a_fit(seed)
         found.append(remove_turbulence(standing, shift, 1e-3, places, trend=trend).amplitude_um)
     assert 4.5 < np.mean(found) < 5.6
+
+
+def test_terms_that_no_point_tells_apart_change_nothing():
+    """A determinant of 0 would make any air the likeliest."""
+    standing, shift, places, _, trend = edge_of_a_fit(0)
+    twice = FittedTerms(*(np.concatenate([fields, fields[:1]]) for fields in (trend.standing, trend.places)))
+    one, other = (remove_turbulence(standing, shift, 1e-3, places, trend=terms) for terms in (trend, twice))
+    assert (one.amplitude_um, one.length_mm) == (other.amplitude_um, other.length_mm)
+    np.testing.assert_allclose(other.shift_mm, one.shift_mm, atol=1e-9)
+    np.testing.assert_allclose(other.variance_mm2, one.variance_mm2, rtol=1e-6)

@@ -43,6 +43,8 @@ _FIT_ON = 250
 """Points that the hyperparameters are fitted on, at most: more tell nothing new about two numbers."""
 _CLIP = 5.0
 _ROUNDS = 12
+_LEAST_TOLD = 1e-12
+"""Of what points tell best of the terms: sums of terms of which they tell less are left at 0."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,19 @@ class _StandingPoints:
         return _StandingPoints(self.at[rows], self.shift[rows], self.noise[rows], self.trend.of(rows))
 
 
+class _TrendFit(NamedTuple):
+    """Terms that were fitted beside the air."""
+
+    covariance: Floats
+    """(K, K): the inverse of the normal matrix, where it has one."""
+    terms: Floats
+    """(K,)"""
+    left: Floats
+    """(m, 2) shifts without them."""
+    log_determinant: float
+    """Of the normal matrix, as far as its inverse goes."""
+
+
 class _Process:
     """The Gaussian process with its factorised covariance."""
 
@@ -150,23 +165,26 @@ class _Process:
         k = self._kernel(places)
         weights = cho_solve(self.factor, k.T)
         variance = np.maximum(self.amplitude**2 - np.einsum("nm,mn->n", k, weights), 0.0)
-        normal, c = self._fit(shift, trend)
-        left = shift - np.einsum("k,kmc->mc", c, trend.standing)
+        fit = self._fit(shift, trend)
         gap = trend.places - np.einsum("kmc,mn->knc", trend.standing, weights)
-        inverse = np.linalg.pinv(normal, hermitian=True) if len(c) else normal
-        unsure: Floats = 0.5 * np.einsum("knc,kl,lnc->n", gap, inverse, gap, optimize=True)
-        return weights.T @ left + np.einsum("k,knc->nc", c, trend.places), variance + unsure
+        unsure: Floats = 0.5 * np.einsum("knc,kl,lnc->n", gap, fit.covariance, gap, optimize=True)
+        return weights.T @ fit.left + np.einsum("k,knc->nc", fit.terms, trend.places), variance + unsure
 
-    def _fit(self, shift: Floats, trend: FittedTerms) -> tuple[Floats, Floats]:
-        """(K, K) normal matrix and (K,) terms beside the air."""
+    def _fit(self, shift: Floats, trend: FittedTerms) -> _TrendFit:
+        """The terms beside the air, by least squares; what the points do not tell of them stays 0."""
         normal, right = np.zeros((len(trend.standing),) * 2), np.zeros(len(trend.standing))
         for axis in (0, 1):
             terms = trend.standing[..., axis]
             weighed = cho_solve(self.factor, terms.T)
             normal += terms @ weighed
             right += weighed.T @ shift[:, axis]
-        c = np.linalg.pinv(normal, hermitian=True) @ right if len(right) else right
-        return normal, c
+        values, vectors = np.linalg.eigh(normal)
+        told = values > _LEAST_TOLD * values.max(initial=0.0)
+        values, vectors = values[told], vectors[:, told]
+        covariance = (vectors / values) @ vectors.T
+        c = covariance @ right
+        left = shift - np.einsum("k,kmc->mc", c, trend.standing)
+        return _TrendFit(covariance, c, left, float(np.sum(np.log(values))))
 
     def left_out(self, shift: Floats) -> tuple[Floats, Floats]:
         """Each shift less what all others say, and the variance of that: from one inverse."""
@@ -175,12 +193,10 @@ class _Process:
         return (inverse @ shift) / diagonal[:, None], 1.0 / diagonal
 
     def log_likelihood(self, shift: Floats, trend: FittedTerms) -> float:
-        normal, c = self._fit(shift, trend)
-        left = shift - np.einsum("k,kmc->mc", c, trend.standing)
-        fit = np.sum(left * cho_solve(self.factor, left))
+        fit = self._fit(shift, trend)
+        misfit = np.sum(fit.left * cho_solve(self.factor, fit.left))
         log_determinant = 2 * np.sum(np.log(np.diag(self.factor[0])))
-        of_terms = np.linalg.slogdet(normal)[1]
-        return float(-0.5 * fit - 0.5 * shift.shape[1] * log_determinant - 0.5 * of_terms)
+        return float(-0.5 * misfit - 0.5 * shift.shape[1] * log_determinant - 0.5 * fit.log_determinant)
 
 
 def _estimated(points: _StandingPoints) -> AirSize:

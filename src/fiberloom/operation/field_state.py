@@ -26,7 +26,7 @@ from fiberloom.operation.safety.begin import (
 )
 from fiberloom.operation.safety.hearing import FROM_SILENCE, Hearing
 from fiberloom.operation.safety.judge import Evidence
-from fiberloom.operation.safety.seen import LitAgain, is_there, where_seen
+from fiberloom.operation.safety.seen import InARow, is_there, where_seen
 from fiberloom.planning import Plan
 from fiberloom.typing import Flags, Floats
 
@@ -71,7 +71,7 @@ class FieldState:
         """By row: the text of its fault."""
         self.hearing = Hearing(len(plane))
         """Who answers, and whose missing answers have been held against it."""
-        self._lit, self._elsewhere = LitAgain(len(plane)), LitAgain(len(plane))
+        self._lit, self._elsewhere = InARow(len(plane)), InARow(len(plane))
         self.here_deg = plane.offline_position_deg.copy()
         """(N, 2) angles as reported, by the maps; as seen where the report is not trusted."""
         self.wire_deg = np.zeros((len(plane), 2))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fiberloom as fl
-from fiberloom.operation.safety.seen import LitAgain, is_there
+from fiberloom.operation.safety.seen import InARow, is_there
 from fiberloom.store import Store
 from fiberloom.targets import random_targets
 
@@ -17,7 +17,7 @@ VICTIM = int(PLANE.positioner_id[3])
     [([True], []), ([True, True], [0]), ([True, False, True], []), ([False, True, True], [0])],
 )
 def test_two_images_in_a_row_are_needed(there, well):
-    lit = LitAgain(1)
+    lit = InARow(1)
     assert [lit.rows(np.array([True]), np.array([seen])).tolist() for seen in there][-1] == well
 
 

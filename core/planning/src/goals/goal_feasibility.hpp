@@ -130,7 +130,7 @@ class GoalFeasibility {
     bool make_room(PositionerIndex i);
 
     // narrow_places.cpp
-    static FineAxes narrow_part(Robot &fine, Robot &wide, int parts);
+    static FineAxes narrow_part(const List<Cell> &way, const Robot &fine, Robot &wide, int parts);
     void try_fine(PositionerIndex i, const FineAxes &fine);
 
     // approaches.cpp

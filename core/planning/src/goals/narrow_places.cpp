@@ -30,9 +30,9 @@ FineLines high_end(FineLines fine) { return {fine.parts, fine.high_rad, fine.hig
 } // namespace
 
 // Of a way on a finer grid, the part to which the wide one leads neither from the start nor from the goal.
-// @pre there is a way.
-GoalFeasibility::FineAxes GoalFeasibility::narrow_part(Robot &fine, Robot &wide, int parts) {
-    const List<Cell> way = fine.way_alone();
+// @pre the way is not empty.
+GoalFeasibility::FineAxes GoalFeasibility::narrow_part(const List<Cell> &way, const Robot &fine, Robot &wide,
+                                                       int parts) {
     const auto reached = [&](int k, const List<int> &steps) {
         const Cell next{line_at(wide.alpha(), fine.alpha().angle(way[k].alpha)),
                         line_at(wide.beta(), fine.beta().angle(way[k].beta))};
@@ -75,7 +75,9 @@ void GoalFeasibility::hasten(PositionerIndex i) {
     Robot wide = make_robot(i);
     const double step = step_rad(i);
     goal.finer = parts;
-    const auto [alpha, beta] = narrow_part(fine, wide, parts);
+    const List<Cell> way = fine.way_alone();
+    if (way.empty()) return;
+    const auto [alpha, beta] = narrow_part(way, fine, wide, parts);
     try_fine(i, {low_end(alpha), low_end(beta)});
     try_fine(i, {high_end(alpha), high_end(beta)});
     for (const int around : steps_around) {

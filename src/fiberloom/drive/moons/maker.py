@@ -103,7 +103,8 @@ def _kept_within_limits(plane: FocalPlane) -> FocalPlane:
     """The same units, whose alpha is planned no farther than their interlocks let it go.
 
     Of other instruments ways may go some degrees beyond the range of targets. Beta's limits are its stops, to
-    which all ways keep away.
+    which all ways keep away. For planning alone: what is executed is held to limits by counts (`_unfit`), and
+    beside a limit its angle in the layout may be beyond.
     """
     targets_deg, stops_deg = (
         np.tile(deg, (plane.n, 1, 1)) for deg in (plane.limits_deg, plane.hard_stops_deg)

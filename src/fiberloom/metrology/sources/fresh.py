@@ -17,11 +17,13 @@ from fiberloom.metrology.sources.errors import ImageStale
 
 CLOCK_S = 2.0
 """How far a camera's clock may be off unless told."""
+STAMP_S = 1e-3
+"""A stamp is cut off at the millisecond (`utc_text`): it may be so much earlier than the exposure was."""
 
 
 def began_too_early(image: CameraImage, asked_utc_s: float, clock_s: float = CLOCK_S) -> bool:
     """Did the exposure begin before it was asked for at `asked_utc_s`, UTC in s, by what is tolerated?"""
-    return image.begun_utc_s is not None and image.begun_utc_s < asked_utc_s - clock_s
+    return image.begun_utc_s is not None and image.begun_utc_s < asked_utc_s - clock_s - STAMP_S
 
 
 class FreshnessCheck:

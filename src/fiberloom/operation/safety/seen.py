@@ -4,7 +4,7 @@ The inverse does not tell near a folded or stretched arm: some um inside of the 
 and some um outside the elbow is millimetres away. But where the fibre is as far from the alpha axis as
 reported, alpha alone is off, and beta is as reported.
 
-And when a fibre that was dark is seen again: one image may show the spot of another, two in a row do not.
+And what a dark fibre shows when it is seen again: one image may show the spot of another, two in a row not.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ SCATTER_MM = DriveTable().scatter_mm
 _SAME_RADIUS = 3.0 * SCATTER_MM
 _FOLDED = 0.2
 """Sine of beta, below which an image tells beta to half a degree and worse: 12 deg from either end."""
-SEEN_AGAIN = 2
-"""Images in a row, each after a move, that show a fibre where its positioner is believed to be."""
+IN_A_ROW = 2
+"""Images, each after a move, that must show the same of a dark fibre to be believed."""
 
 
 def where_seen(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Floats) -> tuple[Floats, Flags]:
@@ -50,16 +50,16 @@ def _turned(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Floats
     return np.column_stack([alpha_deg, reported_deg[:, 1]]), fits
 
 
-class LitAgain:
-    """Counts images of N dark fibres."""
+class InARow:
+    """Counts images of N dark fibres that show the same of them, one after the other."""
 
     def __init__(self, n: int) -> None:
         self._images = np.zeros(n, dtype=np.int64)
 
     def rows(self, dark: Flags, there: Flags) -> Ints:
-        """Those `dark` (N,) until now that are so no longer; an image has shown them `there` (N,)."""
+        """Those `dark` (N,) until now of which it is believed; an image shows it of those `there` (N,)."""
         self._images = np.where(dark & there, self._images + 1, 0)
-        return np.flatnonzero(self._images >= SEEN_AGAIN)
+        return np.flatnonzero(self._images >= IN_A_ROW)
 
 
 def is_there(measured_mm: Floats, believed_mm: Floats, allowed_mm: Floats) -> Flags:

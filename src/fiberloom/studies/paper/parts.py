@@ -31,7 +31,7 @@ class Part(BaseModel):
     """Of all of it (Markdown); empty for most."""
     seconds: float
     cpu_s: float
-    """Of this process and of those it starts: what the figure costs on a machine that does nothing else."""
+    """Of this process and of those it starts, in this run: what it has kept from one before costs nothing."""
     seeds: list[int]
     full: bool
     version: str

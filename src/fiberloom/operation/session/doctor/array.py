@@ -72,16 +72,13 @@ class ArrayCheck(ImageCheck):
     async def bus(self) -> list[DoctorFinding]:
         """Numbers against the layout, firmware, what positioners say of themselves."""
         found = await self.client.discover()
-        findings = [self._numbers(set(found))]
+        findings = [check_numbers(self.plane, set(found))]
         there = np.isin(self.plane.positioner_id, found)
         if there.any():
             ids = self.plane.positioner_id[there]
             self.wire_deg[there], self.answered[there] = await self.client.positions_deg(ids)
             findings += [self._versions(await self.client.firmware_versions(ids)), await self._flags()]
         return findings
-
-    def _numbers(self, found: set[int]) -> DoctorFinding:
-        return check_numbers(self.plane, found)
 
     def _versions(self, versions: dict[int, str]) -> DoctorFinding:
         counts = Counter(versions.values())
