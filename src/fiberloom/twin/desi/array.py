@@ -8,26 +8,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fiberloom._core import geometry
 from fiberloom.drive.desi.frames import ALL, POSITIONERS, DesiCommand, DesiFrame, tables_from
 from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.instruments.model import METROLOGY
-from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.desi.contacts import ContactFinder, Touching
 from fiberloom.twin.desi.controller import DesiController
 from fiberloom.twin.desi.motion import ArmState, TruePath, true_path
 from fiberloom.twin.desi.units import DesiSizes, DesiUnits, draw_desi_units
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import AilmentKind, FaultKind, ServiceKind
+from fiberloom.twin.rigid import RigidArms
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Floats, Ints
-from fiberloom.units import deg_to_rad
 
 
-class DesiTwin:
+class DesiTwin(RigidArms):
     """N positioners on a virtual bus; the clock does not advance between calls.
 
     `start_deg` (N, 2): true angles at power-up, folded by default. Arms pass through each other; with
@@ -46,20 +43,18 @@ class DesiTwin:
     ) -> None:
         self.plane = plane
         self.units = units or draw_desi_units(plane, seed)
+        super().__init__(plane, self.units)
         if len(self.units) != len(plane):
             raise InputError(f"twin: {len(self.units)} units for {len(plane)} positioners; draw them anew")
         self.dark = self.units.dark.copy()
         self.deaf = set(plane.positioner_id[plane.offline].tolist())
         """Positioners that hear nothing, by number."""
-        self.pointing = Pointing()
         self.time_s = 0.0
         self.controllers = {int(k): DesiController(int(k)) for k in plane.positioner_id}
         self._row = {int(k): row for row, k in enumerate(plane.positioner_id)}
         self._finder = ContactFinder(plane, self.units) if contacts else None
         self._state = ArmState.at(self.units.gears, _start(plane, start_deg))
         self._running: list[tuple[float, Ints, TruePath]] = []
-        self._touches: list[Touch] = []
-        self._given = 0
         self._seed, self._rng = seed, np.random.default_rng([seed, 0xDE52])
 
     # the bus
@@ -198,32 +193,6 @@ class DesiTwin:
         for start_s, rows, path in self._running:
             angles[rows] = path.output_deg(rows, np.full(len(rows), self.time_s - start_s))[0]
         return angles
-
-    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
-        """True position (N, 2) in mm of a fibre."""
-        if fibre not in self.plane.points:
-            raise InputError(f"fibre '{fibre}': this plane has {', '.join(self.plane.points)}")
-        longer = np.column_stack([self.units.beta_longer_mm, np.zeros(len(self.plane))])
-        points = np.ascontiguousarray(self.plane.points[fibre] + longer)
-        return geometry.forward(self.units.arms, points, deg_to_rad(self.truth()))
-
-    def point(self, pointing: Pointing) -> None:
-        """Points the telescope; gears of this ratio do not yield to gravity here."""
-        self.pointing = pointing
-
-    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
-        """As `fibre_xy`, (N, 2) mm, whatever the `pointing`."""
-        return self.fibre_xy(fibre)
-
-    def touches(self) -> list[Touch]:
-        """Contacts since the last call: the first moment of each pair in each move."""
-        found, self._touches = self._touches, []
-        self._given += len(found)
-        return found
-
-    def contacts(self) -> int:
-        """How many of these there have been so far."""
-        return self._given + len(self._touches)
 
 
 def _with_resting(field: FieldPath, rows: Ints, n: int) -> FieldPath:

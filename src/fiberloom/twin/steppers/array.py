@@ -7,21 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fiberloom._core import geometry
 from fiberloom._core.geometry import segment_distance
 from fiberloom.drive.moons.maker import limits_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
-from fiberloom.instruments.model import METROLOGY
-from fiberloom.instruments.pointing import Pointing
 from fiberloom.twin.cobras.contacts import ArmBodies, touching
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import AilmentKind, FaultKind
+from fiberloom.twin.rigid import RigidArms
 from fiberloom.twin.steppers.interlocks import Interlocks, InterlockStop
 from fiberloom.twin.steppers.units import StepperUnits, draw_stepper_units
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Flags, Floats, Ints
-from fiberloom.units import deg_to_rad, rad_to_deg
+from fiberloom.units import rad_to_deg
 
 MOST_CORNERS, MOMENTS = 260, 120
 """A motion with more corners is kept at so many moments: a group in which each ends at its own time."""
@@ -53,7 +51,7 @@ class _Running:
     """(K, N, 2)."""
 
 
-class StepperArray:
+class StepperArray(RigidArms):
     """The steppers of a focal plane as they really are.
 
     Arms pass through each other, unless interlocks stop them; either is counted.
@@ -67,7 +65,8 @@ class StepperArray:
     ) -> None:
         self.plane, n = plane, len(plane)
         self.units = draw_stepper_units(plane, seed) if units is None else units
-        self.pointing, self.dark = Pointing(), np.zeros(n, dtype=bool)
+        super().__init__(plane, self.units)
+        self.dark = np.zeros(n, dtype=bool)
         self.dead, self.weak = plane.offline.copy(), np.zeros(n, dtype=bool)
         self.clock: Callable[[], float] = lambda: 0.0
         self.counts = np.zeros((n, 2), dtype=np.int64)
@@ -76,8 +75,6 @@ class StepperArray:
         self._datum_deg = self._drawn_datum_deg()
         falling = np.full((1, n, 2), -self.units.steps.sign)
         self._path = _Running(np.zeros(1), np.zeros((1, n, 2)), falling)
-        self._touches: list[Touch] = []
-        self._given = 0
         self._bodies = _bodies_of(plane, self.units)
         self._pairs = _pairs_of(plane) if contacts else np.zeros((0, 2), dtype=np.int64)
         self.interlocks: Interlocks | None = None
@@ -252,30 +249,6 @@ class StepperArray:
     def truth(self) -> Floats:
         """(N, 2) true alpha and beta in deg."""
         return self.units.output_deg(self._rotor_now(), self._rising_now(), self._datum_deg)
-
-    def fibre_xy(self, fibre: str = METROLOGY) -> Floats:
-        """(N, 2) true places of a fibre in mm."""
-        longer = np.column_stack([self.units.beta_longer_mm, np.zeros(len(self.plane))])
-        points = np.ascontiguousarray(self.plane.points[fibre] + longer)
-        return geometry.forward(self.units.arms, points, deg_to_rad(self.truth()))
-
-    def point(self, pointing: Pointing) -> None:
-        """Points the telescope; gears of these ratios do not yield to gravity here."""
-        self.pointing = pointing
-
-    def fibre_xy_at(self, fibre: str, pointing: Pointing) -> Floats:
-        """As `fibre_xy`, (N, 2) mm, whatever the `pointing`."""
-        return self.fibre_xy(fibre)
-
-    def touches(self) -> list[Touch]:
-        """Contacts since the last call."""
-        found, self._touches = self._touches, []
-        self._given += len(found)
-        return found
-
-    def contacts(self) -> int:
-        """How many of these there have been so far."""
-        return self._given + len(self._touches)
 
     # what goes wrong
 
