@@ -1,10 +1,15 @@
 """A night of cobras: those that the calibration does not count on get no target, as in an observation."""
 
+import asyncio
+
 from nights import Night
 
+from fiberloom.night import carry
+from fiberloom.night.asked.orders import ADD, SKIP
 from fiberloom.night.queue import read_queue
 from fiberloom.operation.past.parts import ASSIGNMENT, assignment_of
 from fiberloom.store.service.alarms import Severity
+from fiberloom.store.service.commands import CommandBook, CommandResult
 
 STUCK, COLLIDED = 3, 801
 FIELDS = "".join(
@@ -45,3 +50,26 @@ def test_the_fewest_moves_of_any_field_judge_motors(tmp_path):
         assert read_queue(tmp_path / "queue.toml").fewest_moves(most) == fewest
     night.write(FIELDS.replace("corrections = 8\n", ""))
     assert read_queue(tmp_path / "queue.toml").fewest_moves(11) == 12
+    night.write(FIELDS.replace("corrections = 8", 'corrections = 2\nskip = "clouds"', 1))
+    assert read_queue(tmp_path / "queue.toml").fewest_moves(11) == 9
+
+
+def test_a_resumed_night_judges_motors_by_the_fields_that_people_have_added_or_left_out(tmp_path):
+    night = Night(tmp_path, FIELDS.replace("corrections = 8\n", "", 1), instrument="pfs")
+    setup, moves_asked = night.setup(), []
+
+    async def ask(source, progress, moves):
+        moves_asked.append(moves)
+
+    setup.known.ask = ask
+    book = carry._begun(setup, night.store)
+    commands = CommandBook(setup.array.book)
+
+    def order(command, **asked):
+        commands.end(commands.begin("ann", "operator", command, asked, night=book.id), CommandResult.DONE)
+        asyncio.run(carry._asked(setup, book, lambda _: None))
+
+    asyncio.run(carry._asked(setup, book, lambda _: None))
+    order(ADD, id="c", targets=str(tmp_path / "c.csv"), exposure_s=60, corrections=2)
+    order(SKIP, field="c")
+    assert moves_asked == [9, 3, 9]

@@ -358,6 +358,19 @@ def test_a_motion_that_fails_its_verification_is_never_given_out(monkeypatch):
     assert_sound(plane, start_deg, goal_deg, made)
 
 
+def test_where_no_plan_passes_its_verification_none_moves(monkeypatch):
+    from fiberloom.planning import planner
+
+    plane, start_deg, goal_deg, _ = solved(37, 5)
+    monkeypatch.setattr(planner, "_RETRIES", 1)
+    monkeypatch.setattr(planner._Task, "verify", lambda task, made: verify(plane, made, goal_deg=start_deg))
+    made = plan(plane, start_deg, goal_deg)
+    np.testing.assert_allclose(made.end_deg, start_deg, atol=1e-8)
+    assert not any(robot.moves for robot in made.robots)
+    assert set(made.refused) == set(plane.positioner_id[(start_deg != goal_deg).any(axis=1)].tolist())
+    assert all("did not pass the verifier" in why for why in made.refused.values())
+
+
 def test_what_the_instrument_says_is_what_is_used():
     narrow = SDSSV.model_copy(update={"bodies": SDSSV.bodies.model_copy(update={"collision_buffer_mm": 1.0})})
     plane = replace(field(7), instrument=narrow)

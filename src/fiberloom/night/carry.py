@@ -83,7 +83,7 @@ async def _asked(setup: NightSetup, book: NightBook, progress: Callable[[str], N
     One plane is for all fields: motors are judged by the fewest moves that one of them has.
     """
     known = setup.known
-    moves = setup.read_queue().fewest_moves(known.plane.instrument.operation.corrections_max)
+    moves = setup.queue_of(book).fewest_moves(known.plane.instrument.operation.corrections_max)
     await known.ask(setup.source, progress, moves)
     setup.array = replace(setup.array, plane=known.plane)  # those that the night leaves out come on top
     if known.doubtful:

@@ -148,8 +148,12 @@ class Queue(_Table):
         return self
 
     def fewest_moves(self, corrections_max: int) -> int:
-        """Of a field, the blind one too; where a field does not say it, `corrections_max` more than that."""
-        told = (corrections_max if f.corrections is None else f.corrections for f in self.fields)
+        """Of a field, the blind one too; where a field does not say it, `corrections_max` more than that.
+
+        Fields that are left out count only where all are.
+        """
+        observed = [entry for entry in self.fields if not entry.skip] or self.fields
+        told = (corrections_max if f.corrections is None else f.corrections for f in observed)
         return 1 + min(told)
 
     def entry(self, name: str) -> FieldEntry | None:

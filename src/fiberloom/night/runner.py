@@ -20,7 +20,6 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology.sources.errors import CameraError
-from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock
 from fiberloom.night.on_record import last_time, shortfall, state_of
 from fiberloom.night.overhead import learned_s
@@ -117,7 +116,7 @@ class NightRunner:
         """`setup`: what it is made of; `book`: its record; `held`: the array; `hardware`: its bus and camera;
         `progress`: called with the name of each step."""
         self.setup, self.book, self.held, self.hardware = setup, book, held, hardware
-        self.queue = QueueOrders.of(book.commands()).applied(setup.read_queue())
+        self.queue = setup.queue_of(book)
         self.control = setup.control
         drive = setup.drive(hardware)
         self.clock: NightClock = setup.clock(drive, self.queue, last_time(book))
@@ -169,7 +168,7 @@ class NightRunner:
     def _reread(self) -> None:
         """The queue as it is now; one that cannot be read is told, and the last good one is kept."""
         try:
-            self.queue = QueueOrders.of(self.book.commands()).applied(self.setup.read_queue())
+            self.queue = self.setup.queue_of(self.book)
         except InputError as error:
             self._alarm(
                 "queue", Severity.MINOR, str(self.setup.queue_file), f"{error}; the last good one is used"

@@ -18,6 +18,7 @@ from fiberloom.drive.way_rules import way_rule
 from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.night.asked.control import NightControl
+from fiberloom.night.asked.orders import QueueOrders
 from fiberloom.night.clock import BusClock, NightClock, WorldClock
 from fiberloom.night.queue import FieldEntry, Queue, read_queue
 from fiberloom.night.shutter import Shutter, TimedShutter
@@ -99,6 +100,10 @@ class NightSetup:
     def read_queue(self) -> Queue:
         """As it is now."""
         return read_queue(self.queue_file)
+
+    def queue_of(self, book: NightBook) -> Queue:
+        """As it is now, with what people have changed of it in the night of this `book`."""
+        return QueueOrders.of(book.commands()).applied(self.read_queue())
 
     def clock(self, drive: Drive, queue: Queue, last: datetime | None) -> NightClock:
         """The clock of a night.

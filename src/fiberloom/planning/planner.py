@@ -260,7 +260,7 @@ def _plan(task: _Task, seed: int) -> Plan:
                 if number.isdigit():
                     unsafe[int(number)] = f"positioner {number}: {_UNVERIFIED}"
         fixed[task.plane.index_of(list(unsafe))] = True
-    return replace(_none_moves(task), cpu_s=task.cpu_s)
+    return replace(made.unmoved(_UNVERIFIED), cpu_s=task.cpu_s)
 
 
 def _planned(task: _Task, fixed: Flags, seed: int, unsafe: dict[int, str]) -> Plan:
@@ -350,13 +350,6 @@ def _assembled(
         refused=refused,
         statistics=statistics,
     )
-
-
-def _none_moves(task: _Task) -> Plan:
-    names = task.plane.positioner_id
-    motions = [np.array([[0.0, *angles]]) for angles in task.start]
-    refused = {int(p): f"positioner {p}: {_UNVERIFIED}" for p in names[task.moving]}
-    return _assembled(task, motions, refused, {})
 
 
 @part("planning")

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +171,19 @@ class Plan:
     def end_deg(self) -> Floats:
         """(N, 2) of every positioner afterwards, in the order of `robots`."""
         return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)
+
+    def unmoved(self, why: str) -> "Plan":
+        """All positioners where they begin; those that would have moved are refused: `why`, in words.
+
+        Who was refused before keeps its own reason.
+        """
+        moving = [robot.positioner_id for robot in self.robots if robot.moves]
+        stands = (
+            Trajectory(robot.positioner_id, np.zeros(1), robot.alpha_deg[:1], robot.beta_deg[:1])
+            for robot in self.robots
+        )
+        refused = {number: f"positioner {number}: {why}" for number in moving} | self.refused
+        return replace(self, robots=tuple(stands), refused=refused)
 
     def to_dict(self) -> dict[str, Any]:
         """The object of trajectories.json.

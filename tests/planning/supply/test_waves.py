@@ -16,7 +16,9 @@ from fiberloom.planning import (
     verify,
     verify_supply,
 )
+from fiberloom.planning.supply import waves
 from fiberloom.planning.supply.waves import PAUSE_S
+from fiberloom.planning.verification import MotionLimits
 
 N = 19
 
@@ -89,3 +91,18 @@ def test_the_budget_is_of_all_waves_together():
     start_deg, goal_deg = random_pair(plane, seed=2)
     made = plan_in_waves(plane, start_deg, goal_deg, most=2, settings=PlanSettings(budget_s=1e-3))
     assert verify(plane, made, start_deg=start_deg).ok
+
+
+def test_waves_that_fail_their_verification_are_never_given_out(monkeypatch):
+    """None moves; whoever was refused before keeps its own reason."""
+    plane = field(N)
+    ends_deg = random_pair(plane, seed=2)
+    refused = plan_in_waves(plane, *ends_deg, most=1, seed=1).refused
+    assert refused
+    monkeypatch.setattr(waves, "MotionLimits", lambda *limits, **others: MotionLimits(1e-3, 1e-3))
+    made = plan_in_waves(plane, *ends_deg, most=1, seed=1)
+    assert (sampled_moving(made) == 0).all()
+    assert made.refused.keys() >= refused.keys()
+    for number, why in made.refused.items():
+        assert why == refused.get(number, f"positioner {number}: {waves._UNVERIFIED}")
+    assert verify(plane, made, start_deg=ends_deg[0]).ok

@@ -97,7 +97,7 @@ def plan_in_waves(
             least_approach_deg=settings.least_approach_deg,
         ),
     )
-    return made if checked.ok else _none_moves(made)
+    return made if checked.ok else made.unmoved(_UNVERIFIED)
 
 
 @dataclass(eq=False)
@@ -229,16 +229,3 @@ class _Waves:
 def _later(own: Approach, by_s: float) -> Approach:
     begin, end = ((first + by_s, second + by_s) for first, second in (own.begin_s, own.end_s))
     return Approach(own.height_deg, begin, end)
-
-
-def _none_moves(made: Plan) -> Plan:
-    """All stay where they begin."""
-    moving = [robot for robot in made.robots if robot.moves]
-    return replace(
-        made,
-        robots=tuple(
-            Trajectory(robot.positioner_id, np.zeros(1), robot.alpha_deg[:1], robot.beta_deg[:1])
-            for robot in made.robots
-        ),
-        refused={r.positioner_id: f"positioner {r.positioner_id}: {_UNVERIFIED}" for r in moving},
-    )

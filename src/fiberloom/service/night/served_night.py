@@ -13,7 +13,7 @@ from typing import Any
 from fiberloom.connect import TWIN
 from fiberloom.errors import InputError, one_line
 from fiberloom.night.asked.control import NightControl
-from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, QueueOrders, new_field, require_field
+from fiberloom.night.asked.orders import ADD, PRIORITY, SKIP, new_field, require_field
 from fiberloom.night.carry import NightEnd, carry_out
 from fiberloom.night.queue import Queue, read_queue
 from fiberloom.night.report import write_report
@@ -170,7 +170,7 @@ class ServedNight:
 
     def _queue(self, runner: NightRunner) -> Queue:
         """As the night will have it with its next step."""
-        return QueueOrders.of(runner.book.commands()).applied(read_queue(self.queue_file))
+        return runner.setup.queue_of(runner.book)
 
     def _shown_queue(self, runner: NightRunner) -> Queue:
         """The same; where its file cannot be read, the last good one."""
