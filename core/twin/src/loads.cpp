@@ -8,6 +8,7 @@ namespace {
 
 // z of (moment, turned by the direction of its arm) x gravity: what gravity turns an axis with.
 double pull(const AxisLoad &load, double direction_rad, Gravity g) {
+    if (g.x == 0.0 && g.y == 0.0) return 0.0; // overhead: no sine is needed to know
     const double c = std::cos(direction_rad), s = std::sin(direction_rad);
     const double x = c * load.moment_x - s * load.moment_y, y = s * load.moment_x + c * load.moment_y;
     return x * g.y - y * g.x;
@@ -29,7 +30,7 @@ ArmLoads::ArmLoads(const AxisLoad &alpha, const AxisLoad &beta, Angles zero, Ang
     : alpha_{alpha}, beta_{beta}, zero_(zero), at_(at) {}
 
 bool ArmLoads::turn(Angles to) {
-    if (to.alpha_rad == at_.alpha_rad && to.beta_rad == at_.beta_rad) return false;
+    if (follow(to)) return false;
     alpha_.turn(at_.alpha_rad, to.alpha_rad);
     beta_.turn(at_.beta_rad, to.beta_rad);
     at_ = to;

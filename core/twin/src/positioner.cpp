@@ -100,9 +100,15 @@ bool Positioner::changed(const Plant &plant) {
     return changed;
 }
 
+// Between two ticks in which they are told where the arms are, those may have moved on.
+bool Positioner::loads_follow(const Plant &plant) const {
+    return !loads || loads->follow({plant.output_at_rest_rad(number(FL_ALPHA)),
+                                    plant.output_at_rest_rad(number(FL_BETA))});
+}
+
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
-    if (changed(plant) || scoped()) return;
+    if (changed(plant) || scoped() || !loads_follow(plant)) return;
     group_->awake &= ~(1U << lane());
     asleep_since_ = tick;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -96,6 +97,10 @@ class Positioner {
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
+    // Something else pulls at it from now on: the next tick may change it.
+    void stir() {
+        for (Plant::Rotor &rotor : last_rotor_) rotor.theta_rad = std::numeric_limits<double>::quiet_NaN();
+    }
     bool asleep() const { return (group_->awake >> lane() & 1U) == 0; }
     const PositionerGroup &group() const { return *group_; }
 
@@ -150,6 +155,7 @@ class Positioner {
     fl_port_t port();
     void start(uint16_t id);
     bool changed(const Plant &plant);
+    bool loads_follow(const Plant &plant) const;
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};

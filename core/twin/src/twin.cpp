@@ -83,7 +83,6 @@ struct Twin::State {
     void note_touches(size_t i, Outbox &outbox);
     void apply_torque(size_t i, const Push &push);
     void put_torque(size_t i);
-    void follow_loads(size_t i);
     Angles at_rest(size_t i) const;
     void publish(size_t i);
     void travel(size_t group);
@@ -99,6 +98,7 @@ struct Twin::State {
     Rows rows_of(size_t group) const {
         return {group * lane_group_size, std::min((group + 1) * lane_group_size, count)};
     }
+    void follow_loads(Rows rows);
     std::vector<Reply> collect();
     void check(size_t i) const {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -241,9 +241,8 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
         plant.step(group);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
             positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
+        if (loaded && (tick + 1) % load_ticks == 0) follow_loads(rows);
     }
-    if (loaded && (now + ticks) % sync_ticks == 0)
-        for (size_t i = rows.begin; i < rows.end; ++i) follow_loads(i);
     const uint32_t fell = lane_group.rest(now + ticks, skip_resting);
     for (size_t i = rows.begin; feel && i < rows.end; ++i)
         if ((fell >> (i - rows.begin) & 1U) != 0 || neighbours.shown(i, now + ticks)) publish(i);
@@ -341,9 +340,14 @@ Angles Twin::State::at_rest(size_t i) const {
     return {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
 }
 
-void Twin::State::follow_loads(size_t i) {
-    ArmLoads *loads = positioners[i].loads.get();
-    if (loads != nullptr && loads->turn(at_rest(i))) put_torque(i);
+// What pulls at the arms of a group turns with them.
+void Twin::State::follow_loads(Rows rows) {
+    for (size_t i = rows.begin; i < rows.end; ++i) {
+        Positioner &p = positioners[i];
+        if (!p.loads || !p.loads->turn(at_rest(i))) continue;
+        put_torque(i);
+        p.stir();
+    }
 }
 
 bool Twin::State::any_awake() const {
@@ -352,10 +356,10 @@ bool Twin::State::any_awake() const {
 
 // To the next sync point; to one further on where no arm can touch another before.
 uint64_t Twin::State::slice_ticks() const {
-    if (!feel && !loaded) return lone_ticks;
+    if (!feel) return lone_ticks;
     const uint64_t to_sync = sync_ticks - now % sync_ticks;
     const auto touches_now = [](uint8_t f) { return f != 0; };
-    if (loaded || to_sync != sync_ticks || std::any_of(felt.begin(), felt.end(), touches_now)) return to_sync;
+    if (to_sync != sync_ticks || std::any_of(felt.begin(), felt.end(), touches_now)) return to_sync;
     const uint64_t due = neighbours.next_due();
     return std::clamp(due - std::min(due, now), sync_ticks, lone_ticks);
 }

@@ -2,9 +2,15 @@
 // rad.
 #pragma once
 
+#include <cstdint>
+
 #include "fiberloom/arm.hpp"
 
 namespace fl::twin {
+
+// Loads follow the arms at these ticks. In 8 ms an arm turns by 1.6 mrad at 2000 rpm of its motor; by as
+// large a share of what a mass pulls with does the pull change.
+inline constexpr uint64_t load_ticks = 16;
 
 // Of one axis. The moment is the mass that the axis carries times where its centre is, in the frame of its
 // own arm: x along it, y to its left. What hangs on the elbow belongs to alpha's.
@@ -34,6 +40,8 @@ class ArmLoads {
 
     // The arms have turned to there; false where they have not.
     bool turn(Angles to);
+    // Whether the loads are those of arms that are there.
+    bool follow(Angles at) const { return at.alpha_rad == at_.alpha_rad && at.beta_rad == at_.beta_rad; }
     // Positive towards positive angles: -d/dangle of the potential -g.(sum of m r), and the bundle's.
     LoadTorque torque(Gravity gravity) const;
 
