@@ -30,18 +30,21 @@ typedef struct fl_hall_out {
 
 /* Sine and cosine of the rotor angle from the counts of channels A and B (0..FL_HALL_ADC_MAX); of unit length
  * as far as the calibration is right. */
-static inline fl_sincos_t fl_hall_vector(const fl_hall_config_t *cfg, const uint16_t adc_cnt[2]) {
-    const float a = ((float)adc_cnt[0] - cfg->offset_a_cnt) * cfg->gain_a;
-    const float b = ((float)adc_cnt[1] - cfg->offset_b_cnt) * cfg->gain_b;
+static inline fl_sincos_t fl_hall_rotor(const fl_hall_config_t *cfg, float a_cnt, float b_cnt) {
+    const float a = (a_cnt - cfg->offset_a_cnt) * cfg->gain_a;
+    const float b = (b_cnt - cfg->offset_b_cnt) * cfg->gain_b;
     const fl_sincos_t out = {a, b * cfg->sec_phase + a * cfg->tan_phase};
     return out;
 }
 
-/* A sample of both channels: the rotor's unit vector and its unwrapped angle. A dead sensor keeps the angle.
+/* The same of a sample. */
+static inline fl_sincos_t fl_hall_vector(const fl_hall_config_t *cfg, const uint16_t adc_cnt[2]) {
+    return fl_hall_rotor(cfg, (float)adc_cnt[0], (float)adc_cnt[1]);
+}
+
+/* The unwrapped angle of a rotor that shows this sine and cosine. A dead sensor keeps the angle.
  * @pre less than half a motor turn since the sample before */
-static inline fl_hall_out_t fl_hall_step(const fl_hall_config_t *cfg, fl_hall_state_t *st,
-                                         const uint16_t adc_cnt[2]) {
-    const fl_sincos_t rotor = fl_hall_vector(cfg, adc_cnt);
+static inline fl_hall_out_t fl_hall_follow(fl_hall_state_t *st, fl_sincos_t rotor) {
     const bool alive = rotor.sin * rotor.sin + rotor.cos * rotor.cos > FL_HALL_DEAD;
     const int32_t angle = alive ? fl_atan2_cnt(rotor.sin, rotor.cos) : st->angle_cnt;
     if (st->seen)
@@ -51,6 +54,13 @@ static inline fl_hall_out_t fl_hall_step(const fl_hall_config_t *cfg, fl_hall_st
     st->seen = true;
     const fl_hall_out_t out = {rotor, st->angle_cnt};
     return out;
+}
+
+/* A sample of both channels: the rotor's unit vector and its unwrapped angle.
+ * @pre less than half a motor turn since the sample before */
+static inline fl_hall_out_t fl_hall_step(const fl_hall_config_t *cfg, fl_hall_state_t *st,
+                                         const uint16_t adc_cnt[2]) {
+    return fl_hall_follow(st, fl_hall_vector(cfg, adc_cnt));
 }
 
 #endif

@@ -55,4 +55,7 @@ def test_laws_are_vector_code(kernel):
     loops = [n for n, line in enumerate(LAWS.read_text().splitlines(), 1) if "for (int i = 0" in line]
     lines = vectorised_lines(kernel)
     assert not set(loops) - set(lines)
-    assert lines.count(loops[-1]) == 4, "either drive, alone and among others"
+    torque, touch, phases = loops[-3:]
+    assert lines.count(torque) == 4, "by either law, alone and among others"
+    assert lines.count(touch) == 2, "where the contact's law knows whether teeth touch, and where none does"
+    assert lines.count(phases) == 1

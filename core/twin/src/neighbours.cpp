@@ -37,19 +37,24 @@ constexpr uint64_t longest_ticks = 256;
 constexpr double most_free_ticks = 1e9; // Near keeps 32 bits of a tick
 constexpr double um_per_mm = 1e3;
 
-// Whole micrometres of travels, modulo 2^32 of them: differences of up to two kilometres are right.
+// Whole micrometres of travels, modulo 2^32 of them: differences of up to two kilometres are right. floor()
+// and ceil() of the baseline are calls of a library.
 uint32_t um_below(double travels_mm) {
-    return static_cast<uint32_t>(static_cast<int64_t>(std::floor(travels_mm * um_per_mm)));
+    const double um = travels_mm * um_per_mm;
+    const auto whole = static_cast<int64_t>(um);
+    return static_cast<uint32_t>(whole - static_cast<int64_t>(static_cast<double>(whole) > um));
 }
 uint32_t um_above(double travels_mm) {
-    return static_cast<uint32_t>(static_cast<int64_t>(std::ceil(travels_mm * um_per_mm)));
+    const double um = travels_mm * um_per_mm;
+    const auto whole = static_cast<int64_t>(um);
+    return static_cast<uint32_t>(whole + static_cast<int64_t>(static_cast<double>(whole) < um));
 }
 
 // A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All
 // pairs are looked at in the same ticks, as far as may be: what that needs is then worked out once.
 uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
     const uint64_t stride = std::bit_floor(std::clamp(free_ticks, sync_ticks, longest_ticks));
-    return (tick + std::max(free_ticks, stride)) / stride * stride;
+    return (tick + std::max(free_ticks, stride)) & ~(stride - 1);
 }
 
 } // namespace

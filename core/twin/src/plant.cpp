@@ -68,15 +68,15 @@ size_t axis_at(size_t group, size_t lane) {
     return 2 * (group * lane_group_size + lane % lane_group_size) + lane / lane_group_size;
 }
 
-// Standard normal, nearly: twelve bytes of scrambled counter (Irwin-Hall, ends at six).
+// Standard normal, nearly: twelve times three bytes of a scrambled counter (Irwin-Hall, ends at six).
 double bell(uint32_t key, uint32_t count) {
     uint64_t z = (static_cast<uint64_t>(key) << 32 | count) * 0x9E3779B97F4A7C15ULL;
-    double sum = -6.0;
+    uint64_t sum = 0;
     for (int i = 0; i < 12; ++i) {
         z = (z ^ (z >> 31)) * 0xBF58476D1CE4E5B9ULL;
-        sum += static_cast<double>(z >> 40) * 0x1p-24;
+        sum += z >> 40;
     }
-    return sum;
+    return static_cast<double>(static_cast<int64_t>(sum)) * 0x1p-24 - 6.0;
 }
 
 // Lanes without an axis must be harmless to step: nothing moves them, no division by zero.
@@ -127,13 +127,23 @@ size_t Plant::bytes() const {
 void Plant::step(size_t group) {
     AxisGroup &g = groups_[group];
     kernel_->drive(g);
-    TickEvents events = kernel_->step(g, substeps_);
-    for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
-        fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
-    for (uint64_t left = events.left_cell; left != 0; left &= left - 1)
-        follow_cell(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    const TickEvents events = kernel_->step(g, substeps_);
+    if (events.left_cell != 0) follow_cells(group, events.left_cell);
     for (uint64_t left = slipping_[group]; left != 0; left &= left - 1)
         slip(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+}
+
+// Gears that left their cell inside a tick. One thing of all of them, then the next: what takes long of one
+// does not wait for another's.
+void Plant::follow_cells(size_t group, uint64_t lanes) {
+    int32_t nodes[lane_count];
+    const auto each = [lanes](auto &&what) {
+        for (uint64_t left = lanes; left != 0; left &= left - 1)
+            what(static_cast<size_t>(__builtin_ctzll(left)));
+    };
+    each([&](size_t lane) { fetch(axis_at(group, lane)); });
+    each([&](size_t lane) { nodes[lane] = follow_cell(axis_at(group, lane)); });
+    each([&](size_t lane) { follow_seat(axis_at(group, lane), nodes[lane]); });
 }
 
 // It may lie far from the processor: what a new cell asks for, at once.
@@ -371,35 +381,31 @@ void Plant::seek_cell(size_t axis, double gear_rad) {
     load_cell(axis);
 }
 
-// The gear left its cell inside a tick. In positive contact the old cell's B placed it: the new one's
-// does now, so that where the gear is never depends on how it came there.
-void Plant::follow_cell(size_t axis) {
-    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
-    const double theta_rad = lane(axis, &AxisGroup::theta_rad);
-    const Cell &cell = axes_[axis].cell;
-    const int32_t before = cell.index;
-    const double backlash_rad = cell.backlash().at(gear_rad);
-    const bool positive = gear_rad < theta_rad && theta_rad - gear_rad >= backlash_rad - 1e-9;
+// Returns by how many nodes. In positive contact the old cell's B placed the gear: the new one's does now, so
+// that where the gear is never depends on how it came there.
+int32_t Plant::follow_cell(size_t axis) {
+    AxisGroup &g = group_of(axis);
+    const auto at = static_cast<size_t>(place(axis).lane);
+    const auto closed_rad = [&] { return (g.theta_rad[at] - g.backlash_0_rad[at]) * g.backlash_scale[at]; };
+    const double gear_rad = g.gear_rad[at];
+    const bool positive = gear_rad < g.theta_rad[at] && gear_rad - closed_rad() <= 1e-9;
+    const int32_t before = axes_[axis].cell.index;
     seek_cell(axis, gear_rad);
-    follow_seat(axis, cell.index - before);
     fetch_gear(axis);
-    if (positive)
-        set(axis, &AxisGroup::gear_rad,
-            (theta_rad - lane(axis, &AxisGroup::backlash_0_rad)) * lane(axis, &AxisGroup::backlash_scale));
-}
-
-double Plant::next_seat(size_t axis, double from_rad) {
-    Seat &seat = axes_[axis].seat;
-    const double rms_rad = param(axis, &PlantParams::seat_rms);
-    return seat_memory * from_rad + seat_news * rms_rad * bell(seat.key, seat.passes++);
+    if (positive) g.gear_rad[at] = closed_rad();
+    return axes_[axis].cell.index - before;
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten.
 void Plant::follow_seat(size_t axis, int32_t nodes) {
+    const double rms_rad = param(axis, &PlantParams::seat_rms);
+    if (rms_rad == 0.0) return;
     Seat &seat = axes_[axis].seat;
-    if (param(axis, &PlantParams::seat_rms) == 0.0) return;
-    for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next_seat(axis, seat.hi_rad));
-    for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next_seat(axis, seat.lo_rad));
+    const auto next = [&](double from_rad) {
+        return seat_memory * from_rad + seat_news * rms_rad * bell(seat.key, seat.passes++);
+    };
+    for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next(seat.hi_rad));
+    for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next(seat.lo_rad));
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <numbers>
 
 // Sums may be computed by wider vectors where a machine has them, with the same bits.
@@ -17,27 +18,29 @@ namespace {
 
 constexpr double two_pi = 2.0 * std::numbers::pi;
 
-// cos and sin of a node angle times an order are entries of one table: no transcendental at run time.
+// cos and sin of the angle of a node, all turns alike.
+Harmonic on_circle(int32_t node) {
+    const double angle = node_step_rad * static_cast<double>(node & (nodes_per_turn - 1));
+    return {std::cos(angle), std::sin(angle)};
+}
+
+// At the first nodes of blocks, times any order: no transcendental at run time, and 8 KB that stay in the
+// cache.
 struct Circle {
-    std::array<Harmonic, nodes_per_turn> point;
+    static constexpr int32_t blocks = nodes_per_turn / block_nodes;
+    Harmonic point[blocks];
     Circle() {
-        for (size_t i = 0; i < nodes_per_turn; ++i) {
-            const double angle = node_step_rad * static_cast<double>(i);
-            point[i] = {std::cos(angle), std::sin(angle)};
-        }
+        for (int32_t i = 0; i < blocks; ++i) point[i] = on_circle(block_nodes * i);
     }
-    const Harmonic &at(int32_t k) const { return point[static_cast<size_t>(k) & (nodes_per_turn - 1)]; }
+    const Harmonic &at(int32_t block) const { return point[block & (blocks - 1)]; }
 };
 const Circle circle;
 
-// Amplitudes as seen from where the wave is `at`.
-Harmonic seen_from(const Harmonic &at, const Harmonic &wave) {
-    return {wave.cos * at.cos + wave.sin * at.sin, wave.sin * at.cos - wave.cos * at.sin};
-}
-
-// Four nodes at once; named, not in loops over memory, so that sums stay in registers.
+// Four numbers at once; named, not in loops over memory, so that sums stay in registers.
 typedef double Quad __attribute__((vector_size(32)));
+typedef int64_t Places __attribute__((vector_size(32)));
 static_assert(sizeof(Quad) == quad_nodes * sizeof(double));
+static_assert(sizeof(Quad) == sizeof(Gear::Wave));
 constexpr size_t block_quads = block_nodes / quad_nodes;
 
 // Sums of both series at four nodes: delta in output rad, backlash in motor rad without its mean.
@@ -51,7 +54,7 @@ struct Within {
     Within() {
         for (size_t i = 0; i < harmonic_count; ++i)
             for (int32_t k = 0; k < block_nodes; ++k) {
-                const Harmonic &wave = circle.at(harmonic_orders[i] * k);
+                const Harmonic wave = on_circle(harmonic_orders[i] * k);
                 cos[i][k / 4][k % 4] = wave.cos;
                 sin[i][k / 4][k % 4] = wave.sin;
             }
@@ -59,16 +62,21 @@ struct Within {
 };
 const Within within;
 
-// Of quad `k` of the block that begins at node `first`.
-FL_CLONES void series(const Gear &gear, int32_t first, size_t k, Sums &out) {
+// Of quad `k` of a block.
+FL_CLONES void series(const Gear &gear, int32_t block, size_t k, Sums &out) {
     Sums sums;
     const Gear::Wave *wave = gear.waves.get();
     for (uint32_t left = gear.orders; left != 0; left &= left - 1, ++wave) {
         const auto i = static_cast<size_t>(__builtin_ctz(left));
-        const Harmonic &at = circle.at(harmonic_orders[i] * first);
-        const Harmonic delta = seen_from(at, wave->delta_rad), backlash = seen_from(at, wave->backlash_rad);
-        sums.delta_rad += delta.cos * within.cos[i][k] + delta.sin * within.sin[i][k];
-        sums.backlash_rad += backlash.cos * within.cos[i][k] + backlash.sin * within.sin[i][k];
+        // both amplitudes, cos and sin of each, as seen from where the wave is at the first node of the block
+        const Harmonic &at = circle.at(harmonic_orders[i] * block);
+        const Quad at_cos = {at.cos, at.cos, at.cos, at.cos}, at_sin = {at.sin, -at.sin, at.sin, -at.sin};
+        Quad own;
+        std::memcpy(&own, wave, sizeof own);
+        const Quad seen = own * at_cos + __builtin_shuffle(own, Places{1, 0, 3, 2}) * at_sin;
+        const Quad &cos = within.cos[i][k], &sin = within.sin[i][k];
+        sums.delta_rad += seen[0] * cos + seen[1] * sin;
+        sums.backlash_rad += seen[2] * cos + seen[3] * sin;
     }
     out = sums;
 }
@@ -118,7 +126,7 @@ Gear::Gear(const Transmission &t)
 void NodeQuad::load(const Gear &gear, double gear_ratio, int32_t quad) {
     const int32_t first = quad * quad_nodes, in_block = first & (block_nodes - 1);
     Sums sums;
-    series(gear, first - in_block, static_cast<size_t>(in_block / quad_nodes), sums);
+    series(gear, (first - in_block) / block_nodes, static_cast<size_t>(in_block / quad_nodes), sums);
     for (int32_t k = 0; k < quad_nodes; ++k) {
         const double theta = node_step_rad * (first + k);
         const double delta = sums.delta_rad[k] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);

@@ -67,6 +67,21 @@ static inline float fl_drive_voltage(const fl_drive_config_t *cfg, float torque_
     return fl_clamp(torque_Nm * cfg->voltage_per_Nm, -1.0f, 1.0f);
 }
 
+/* Eq. 22 for what the servo has asked for: true when the rotor or the arm is blocked.
+ * @pre the servo's state is that of this tick */
+static inline __attribute__((always_inline)) bool fl_drive_collided(const fl_drive_config_t *cfg,
+                                                                    const fl_servo_state_t *servo,
+                                                                    float watched_Nm, float speed_rad_s) {
+    const fl_collision_in_t watch = {watched_Nm, speed_rad_s, servo->direction, servo->drag_doubt};
+    return fl_collision_closed(&cfg->collision, watch);
+}
+
+/* The phases of this tick. */
+static inline __attribute__((always_inline)) fl_duty_t fl_drive_phases(float voltage, fl_sincos_t rotor,
+                                                                       float speed_rad_s) {
+    return fl_commutate(voltage, rotor, speed_rad_s * (0.5f * FL_TICK_S));
+}
+
 /* Commutation and the watches, after either law. Left to itself the compiler makes one function of the two
  * uses: 40 instructions a tick and axis.
  * @pre the servo's state is that of this tick */
@@ -76,12 +91,9 @@ static inline __attribute__((always_inline)) fl_drive_out_t fl_drive_end(const f
                                                                          fl_sincos_t rotor,
                                                                          const fl_servo_out_t *torque) {
     const float voltage = fl_drive_voltage(cfg, torque->torque_Nm);
-    const fl_collision_in_t watch = {torque->watched_Nm, in->speed_rad_s, st->servo.direction,
-                                     st->servo.drag_doubt};
     const bool touched = fl_drive_touched(cfg, st, in, torque, voltage, rotor);
-    const bool collided = fl_collision_closed(&cfg->collision, watch);
-    const fl_drive_out_t out = {*torque, voltage,
-                                fl_commutate(voltage, rotor, in->speed_rad_s * (0.5f * FL_TICK_S)),
+    const bool collided = fl_drive_collided(cfg, &st->servo, torque->watched_Nm, in->speed_rad_s);
+    const fl_drive_out_t out = {*torque, voltage, fl_drive_phases(voltage, rotor, in->speed_rad_s),
                                 collided || touched};
     return out;
 }
@@ -93,9 +105,9 @@ static inline fl_drive_out_t fl_drive_paper(const fl_drive_config_t *cfg, fl_dri
     return fl_drive_end(cfg, st, in, rotor, &torque);
 }
 
-/* State feedback, with the feedforward of the gear only while it is pushed. */
-static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_drive_state_t *st,
-                                              const fl_servo_in_t *in, fl_sincos_t rotor) {
+/* The torque of the state feedback, with the feedforward of the gear only while it is pushed. */
+static inline fl_servo_out_t fl_drive_contact_torque(const fl_drive_config_t *cfg, fl_drive_state_t *st,
+                                                     const fl_servo_in_t *in) {
     fl_servo_head(&st->servo, in->speed_rad_s);
     const fl_gap_t gap = fl_teeth_step(&cfg->teeth, &st->teeth, fl_sub_i32(in->rotor_cnt, in->error_cnt),
                                        fl_sub_i32(in->command_cnt, in->rotor_cnt));
@@ -105,6 +117,13 @@ static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_d
         fl_regulator_step(&cfg->servo, &cfg->regulator, &st->servo, &st->regulator, in, pushes);
     const float applied_Nm = fl_drive_voltage(cfg, torque.torque_Nm) * cfg->full_Nm;
     fl_regulator_applied(&cfg->regulator, &st->regulator, applied_Nm - torque.feedforward_Nm);
+    return torque;
+}
+
+/* State feedback (fl_regulator.h). */
+static inline fl_drive_out_t fl_drive_contact(const fl_drive_config_t *cfg, fl_drive_state_t *st,
+                                              const fl_servo_in_t *in, fl_sincos_t rotor) {
+    const fl_servo_out_t torque = fl_drive_contact_torque(cfg, st, in);
     return fl_drive_end(cfg, st, in, rotor, &torque);
 }
 

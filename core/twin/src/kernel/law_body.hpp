@@ -45,9 +45,10 @@ void hall_law(LawBatch &__restrict b, LawScratch &__restrict s) {
         const fl_hall_config_t config = {FL_LAW_HALL(X)};
 #undef X
         fl_hall_state_t state = {b.angle_cnt[i], true};
-        const uint16_t adc_cnt[2] = {static_cast<uint16_t>(b.adc_a_cnt[i]),
-                                     static_cast<uint16_t>(b.adc_b_cnt[i])};
-        const fl_hall_out_t out = fl_hall_step(&config, &state, adc_cnt);
+        // fl_hall_step, but for 16-bit counts, of which a vector holds too many for the rest
+        const fl_sincos_t rotor =
+            fl_hall_rotor(&config, static_cast<float>(b.adc_a_cnt[i]), static_cast<float>(b.adc_b_cnt[i]));
+        const fl_hall_out_t out = fl_hall_follow(&state, rotor);
         b.angle_cnt[i] = out.angle_cnt;
         s.rotor_sin[i] = out.rotor.sin;
         s.rotor_cos[i] = out.rotor.cos;
@@ -170,28 +171,27 @@ inline fl_drive_state_t drive_state_of(const LawBatch &b, const ContactLanes *c,
     return {servo, touch, teeth, {seen, Law == FL_LAW_CONTACT ? c->slack_Nm[i] : 0.0f}};
 }
 
-// One law over all lanes; with `some`, only what those of this law have found is kept.
+// fl_drive_step in three loops: with all of it in one, a processor finds too little to do while it waits for
+// results.
+
+#define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(s.input.name[i]),
+inline fl_servo_in_t servo_in_of(const LawScratch &s, int i) { return {FL_LAW_INPUT(X)}; }
+#undef X
+
+// The torque by one law, for all lanes; with `some`, only what those of this law have found is kept.
 template <fl_law_t Law, bool some>
-[[gnu::flatten]] void drive_lanes(LawBatch &__restrict b, LawScratch &__restrict s,
-                                  ContactLanes *__restrict c) {
+[[gnu::flatten]] void torque_lanes(LawBatch &__restrict b, LawScratch &__restrict s,
+                                   ContactLanes *__restrict c) {
     for (int i = 0; i < lane_group_size; ++i) {
         const bool mine = !some || b.law[i] == Law;
         const fl_drive_config_t config = drive_config_of<Law>(b, c, i);
         fl_drive_state_t state = drive_state_of<Law>(b, c, i);
-#define X(type, name) static_cast<decltype(fl_servo_in_t::name)>(s.input.name[i]),
-        const fl_servo_in_t in = {FL_LAW_INPUT(X)};
-#undef X
-        const fl_sincos_t rotor = {s.rotor_sin[i], s.rotor_cos[i]};
-        const fl_drive_out_t out = Law == FL_LAW_CONTACT ? fl_drive_contact(&config, &state, &in, rotor)
-                                                         : fl_drive_paper(&config, &state, &in, rotor);
+        const fl_servo_in_t in = servo_in_of(s, i);
+        const fl_servo_out_t out = Law == FL_LAW_CONTACT
+                                       ? fl_drive_contact_torque(&config, &state, &in)
+                                       : fl_servo_step(&config.servo, &state.servo, &in, FL_TICK_S);
 #define X(type, name) b.state.name[i] = mine ? state.servo.name : b.state.name[i];
         FL_LAW_STATE(X)
-#undef X
-#define X(type, name) b.observer.name[i] = mine ? state.touch.name : b.observer.name[i];
-        FL_LAW_OBSERVER(X)
-#undef X
-#define X(type, name) b.ripple.name[i] = mine ? state.touch.ripple.name : b.ripple.name[i];
-        FL_LAW_RIPPLE(X)
 #undef X
 #define X(type, name) c->gap.name[i] = mine ? state.teeth.name : c->gap.name[i];
         if (Law == FL_LAW_CONTACT) {
@@ -204,24 +204,67 @@ template <fl_law_t Law, bool some>
             c->slack_Nm[i] = mine ? state.regulator.slack_Nm : c->slack_Nm[i];
         }
 #undef X
-#define X(type, name) b.torque.name[i] = mine ? out.torque.name : b.torque.name[i];
+#define X(type, name) b.torque.name[i] = mine ? out.name : b.torque.name[i];
         FL_LAW_TORQUE(X)
 #undef X
-        b.voltage[i] = mine ? out.voltage : b.voltage[i];
-        s.duty_a[i] = mine ? out.duty.phase[0] : s.duty_a[i];
-        s.duty_b[i] = mine ? out.duty.phase[1] : s.duty_b[i];
-        s.duty_c[i] = mine ? out.duty.phase[2] : s.duty_c[i];
-        s.stuck[i] = mine ? int32_t{out.stuck} : s.stuck[i];
+        b.voltage[i] = mine ? fl_drive_voltage(&config, out.torque_Nm) : b.voltage[i];
+    }
+}
+
+// Whether the arm is touched. Law: the contact's where any lane runs it.
+template <fl_law_t Law>
+[[gnu::flatten]] void touch_lanes(LawBatch &__restrict b, LawScratch &__restrict s,
+                                  const ContactLanes *__restrict c) {
+    for (int i = 0; i < lane_group_size; ++i) {
+        const fl_drive_config_t config = drive_config_of<FL_LAW_PAPER>(b, nullptr, i);
+        fl_drive_state_t state = drive_state_of<FL_LAW_PAPER>(b, nullptr, i);
+        if (Law == FL_LAW_CONTACT) state.teeth.touching = c->gap.touching[i] & -int32_t{b.law[i] == Law};
+        const fl_servo_in_t in = servo_in_of(s, i);
+#define X(type, name) b.torque.name[i],
+        const fl_servo_out_t torque = {FL_LAW_TORQUE(X)};
+#undef X
+        const fl_sincos_t rotor = {s.rotor_sin[i], s.rotor_cos[i]};
+        s.stuck[i] = int32_t{fl_drive_touched(&config, &state, &in, &torque, b.voltage[i], rotor)};
+#define X(type, name) b.observer.name[i] = state.touch.name;
+        FL_LAW_OBSERVER(X)
+#undef X
+#define X(type, name) b.ripple.name[i] = state.touch.ripple.name;
+        FL_LAW_RIPPLE(X)
+#undef X
+    }
+}
+
+// The other watch, and the phases.
+[[gnu::flatten]] void phase_lanes(LawBatch &__restrict b, LawScratch &__restrict s) {
+    for (int i = 0; i < lane_group_size; ++i) {
+        const fl_drive_config_t config = drive_config_of<FL_LAW_PAPER>(b, nullptr, i);
+        const fl_drive_state_t state = drive_state_of<FL_LAW_PAPER>(b, nullptr, i);
+        const float speed_rad_s = s.input.speed_rad_s[i];
+        const bool collided = fl_drive_collided(&config, &state.servo, b.torque.watched_Nm[i], speed_rad_s);
+        s.stuck[i] |= int32_t{collided};
+        const fl_duty_t duty = fl_drive_phases(b.voltage[i], {s.rotor_sin[i], s.rotor_cos[i]}, speed_rad_s);
+        s.duty_a[i] = duty.phase[0];
+        s.duty_b[i] = duty.phase[1];
+        s.duty_c[i] = duty.phase[2];
     }
 }
 
 // laws: a bit of 1 << law for each that a lane wants.
 void drive_law(LawBatch &b, LawScratch &s, unsigned laws) {
     constexpr unsigned paper = 1U << FL_LAW_PAPER, contact = 1U << FL_LAW_CONTACT;
-    if (laws == paper) return drive_lanes<FL_LAW_PAPER, false>(b, s, nullptr);
-    if (laws == contact) return drive_lanes<FL_LAW_CONTACT, false>(b, s, b.contact);
-    drive_lanes<FL_LAW_PAPER, true>(b, s, b.contact);
-    drive_lanes<FL_LAW_CONTACT, true>(b, s, b.contact);
+    if (laws == paper) {
+        torque_lanes<FL_LAW_PAPER, false>(b, s, nullptr);
+    } else if (laws == contact) {
+        torque_lanes<FL_LAW_CONTACT, false>(b, s, b.contact);
+    } else {
+        torque_lanes<FL_LAW_PAPER, true>(b, s, b.contact);
+        torque_lanes<FL_LAW_CONTACT, true>(b, s, b.contact);
+    }
+    if ((laws & contact) != 0)
+        touch_lanes<FL_LAW_CONTACT>(b, s, b.contact);
+    else
+        touch_lanes<FL_LAW_PAPER>(b, s, nullptr);
+    phase_lanes(b, s);
 }
 
 } // namespace

@@ -44,8 +44,13 @@ template <class T> class Differing {
         const auto *begin = reinterpret_cast<const char *>(&first);
         const auto at = static_cast<size_t>(reinterpret_cast<const char *>(&(first.*name)) - begin);
         auto out = std::bit_cast<std::array<uint32_t, sizeof(Field) / sizeof(uint32_t)>>(first.*name);
+        const size_t begins = at / sizeof(uint32_t);
+        bool own = false;
+        for (size_t k = 0; k < out.size(); ++k) own |= is_own(begins + k);
+        if (!own) return first.*name;
+        const uint32_t *value = values_.get() + place(begins);
         for (size_t k = 0; k < out.size(); ++k)
-            if (is_own(at / sizeof(uint32_t) + k)) out[k] = values_[place(at / sizeof(uint32_t) + k)];
+            if (is_own(begins + k)) out[k] = *value++;
         return std::bit_cast<Field>(out);
     }
     // Memory beside the object itself.
@@ -62,11 +67,20 @@ template <class T> class Differing {
     // Of a word among those kept: how many come before it.
     size_t place(size_t k) const {
         size_t before = 0;
-        for (size_t m = 0; m < k / mask_bits; ++m) before += static_cast<size_t>(std::popcount(differs_[m]));
+        for (size_t m = 0; m < k / mask_bits; ++m) before += ones(differs_[m]);
         const size_t within = k % mask_bits;
         if (within == 0) return before;
         const uint64_t below = (uint64_t{1} << within) - 1;
-        return before + static_cast<size_t>(std::popcount(differs_[k / mask_bits] & below));
+        return before + ones(differs_[k / mask_bits] & below);
+    }
+
+    // std::popcount; the baseline has no instruction for it, and the library's function takes longer than the
+    // rest of a field.
+    static size_t ones(uint64_t x) {
+        x -= x >> 1 & 0x5555555555555555U;
+        x = (x & 0x3333333333333333U) + (x >> 2 & 0x3333333333333333U);
+        x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fU;
+        return x * 0x0101010101010101U >> 56;
     }
 
     std::array<uint64_t, masks> differs_{}; // a bit for each word

@@ -193,8 +193,8 @@ class Plant {
     void fetch(size_t axis) const;
     void fetch_gear(size_t axis) const;
     void seek_cell(size_t axis, double gear_rad);
-    void follow_cell(size_t axis);
-    double next_seat(size_t axis, double from_rad);
+    void follow_cells(size_t group, uint64_t lanes);
+    int32_t follow_cell(size_t axis);
     void follow_seat(size_t axis, int32_t nodes);
     double stop_torque_Nm(size_t axis) const;
     double geared_rad(size_t axis) const;
