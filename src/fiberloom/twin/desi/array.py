@@ -13,13 +13,13 @@ from fiberloom.drive.desi.paths import FieldPath, executed_path
 from fiberloom.drive.desi.tables import MoveTables
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
+from fiberloom.twin.actuators.rigid import RigidArms
 from fiberloom.twin.desi.contacts import ContactFinder, Touching
 from fiberloom.twin.desi.controller import DesiController
 from fiberloom.twin.desi.motion import ArmState, TruePath, true_path
 from fiberloom.twin.desi.units import DesiSizes, DesiUnits, draw_desi_units
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import AilmentKind, FaultKind, ServiceKind
-from fiberloom.twin.rigid import RigidArms
 from fiberloom.twin.twin import Touch
 from fiberloom.typing import Floats, Ints
 

@@ -11,10 +11,10 @@ from fiberloom._core.geometry import segment_distance
 from fiberloom.drive.moons.maker import limits_deg
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.arms import ALPHA_OFF, BETA_OFF, L_ALPHA, pairs_within
+from fiberloom.twin.actuators.rigid import RigidArms
 from fiberloom.twin.cobras.contacts import ArmBodies, touching
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import AilmentKind, FaultKind
-from fiberloom.twin.rigid import RigidArms
 from fiberloom.twin.steppers.interlocks import Interlocks, InterlockStop
 from fiberloom.twin.steppers.units import StepperUnits, draw_stepper_units
 from fiberloom.twin.twin import Touch

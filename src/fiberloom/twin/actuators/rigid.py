@@ -22,7 +22,7 @@ class TrueArms(Protocol):
 
     @property
     def arms(self) -> Floats:
-        """(N, 5) true arms: columns of FocalPlane.arms."""
+        """(N, 5) true arms, mm and rad: columns of FocalPlane.arms."""
         ...
 
     @property
