@@ -1,11 +1,12 @@
 """`fiberloom observe` with every unit of each instrument of Table 1, one after the other, in one table.
 
-    python -m benchmarks.instruments.full [--seed 0] [--instrument pfs ...] [--out runs/full] [--fresh]
+    python -m benchmarks.instruments.full [--seed 0] [--seeds 1] [--instrument pfs ...] [--out runs/full]
 
 Targets are those of `examples/make_targets.py`, three for each unit; the command has no options but
 instrument and seed, so moves, images and camera are those of the instrument's file. A row is kept beside its
-results with the digest of the code; the same command again makes only rows that this code has not made. Exit
-code 0: every row is met; 1: one is not; 2: bad input; 130: interrupted.
+results with the digest of the code; the same command again makes only rows that this code has not made. With
+several `--seeds` in a row each row tells its seed, and below the table is how many have met, by instrument.
+Exit code 0: every row is met; 1: one is not; 2: bad input; 130: interrupted.
 
 Met is a row whose healthy fibres with a target are all within the requirement, in the twin's truth, where no
 arm touched another, the exit code of `observe` is 0, and CPU time and memory keep the bounds.
@@ -79,10 +80,10 @@ class FullField:
         }
         return [words for words, is_so in found.items() if is_so]
 
-    def line(self) -> str:
-        """Of the table."""
+    def line(self, seed: int | None = None) -> str:
+        """Of the table; `seed`: to be told."""
         cells = (
-            self.instrument,
+            self.instrument if seed is None else f"{self.instrument}, seed {seed}",
             f"{self.units}",
             f"{self.assigned}" + (f", {self.left_out} left out" if self.left_out else ""),
             f"{self.within} of {self.healthy}",
@@ -180,25 +181,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m benchmarks.instruments.full", description="observe with all units of each instrument"
     )
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="how many in a row, from --seed on")
     parser.add_argument("--instrument", nargs="+", choices=INSTRUMENTS, default=list(INSTRUMENTS))
     parser.add_argument("--out", type=Path, default=Path("runs/full"))
     parser.add_argument("--fresh", action="store_true", help="make rows anew that are there")
     asked = parser.parse_args(arguments)
+    if asked.seeds < 1:
+        parser.error(f"--seeds {asked.seeds}: must be 1 or more")
     asked.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(asked.seed, asked.seed + asked.seeds)
     print("\n".join((HEAD, RULE)), flush=True)
-    missed = 0
     try:
-        for name in asked.instrument:
-            found = row(name, asked.seed, asked.out, asked.fresh)
-            if isinstance(found, str):
-                print(f"| {name} | not made: {found} |", flush=True)
-            else:
-                print(found.line(), flush=True)
-            missed += isinstance(found, str) or bool(found.missed)
+        met = {name: _met(name, seeds, asked.out, asked.fresh) for name in asked.instrument}
     except KeyboardInterrupt:
         print(f"interrupted; rows are kept in {asked.out}: run the same again", file=sys.stderr)
         return 130
-    return 1 if missed else 0
+    if len(seeds) > 1:
+        print(
+            "\n" + "\n".join(f"{name}: met by {count} of {len(seeds)} seeds" for name, count in met.items())
+        )
+    return 1 if min(met.values()) < len(seeds) else 0
+
+
+def _met(name: str, seeds: range, folder: Path, fresh: bool) -> int:
+    """Prints the rows of an instrument; how many of the `seeds` have met."""
+    met = 0
+    for seed in seeds:
+        found, told = row(name, seed, folder, fresh), seed if len(seeds) > 1 else None
+        if isinstance(found, str):
+            named = name if told is None else f"{name}, seed {seed}"
+            print(f"| {named} | not made: {found} |", flush=True)
+        else:
+            print(found.line(told), flush=True)
+            met += not found.missed
+    return met
 
 
 if __name__ == "__main__":

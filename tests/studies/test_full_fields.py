@@ -57,3 +57,19 @@ def test_a_row_is_made_of_the_last_move_that_is_no_comparison():
     found = full.field_of("megara", summary, 3.0, 0.2, 0)
     assert asdict(found) | {"healthy": 87, "named": 1, "moves": 1, "contacts": 2} == asdict(found)
     assert found.missed == ["1 of the healthy beyond 5 um", "contacts"]
+
+
+def test_of_several_seeds_it_tells_how_many_have_met(tmp_path, monkeypatch, capsys):
+    """One misses, one is not made."""
+    rows = {("pfs", 3): replace(ROW, within=2215), ("moons", 4): "ended with 2"}
+    monkeypatch.setattr(full, "observe", lambda name, seed, _: rows.get((name, seed), ROW))
+    three = ["--seed", "2", "--seeds", "3", "--out", str(tmp_path)]
+    assert full.main(["--instrument", "pfs", "moons", *three]) == 1
+    said = capsys.readouterr().out
+    assert "| pfs, seed 3 | 2394 |" in said
+    assert "| moons, seed 4 | not made: ended with 2 |" in said
+    assert said.endswith("\npfs: met by 2 of 3 seeds\nmoons: met by 2 of 3 seeds\n")
+    assert full.main(["--instrument", "desi", *three]) == 0
+    assert capsys.readouterr().out.endswith("\ndesi: met by 3 of 3 seeds\n")
+    with pytest.raises(SystemExit, match="2"):
+        full.main(["--seeds", "0"])

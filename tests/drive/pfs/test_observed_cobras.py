@@ -120,7 +120,9 @@ def test_those_that_a_calibration_does_not_count_on_get_no_target_and_are_named(
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert set(map(str, ids)) <= set(summary["left_out"])
     assert summary["left_out"][str(ids[0])].endswith("its fibre does not move")
-    assert len(summary["left_out"]) < 12
+    wild = [why for why in summary["left_out"].values() if "at most can arrive" in why]
+    assert len(wild) <= 6
+    assert len(summary["left_out"]) - len(wild) <= len(ids) + 1
     assert summary["n_assigned"] <= 114 - len(summary["left_out"])
     assert len(summary["faults"].get("dead", [])) <= 1
     assert summary["contacts_true"] == 0

@@ -175,3 +175,19 @@ def test_of_two_that_could_meet_the_one_that_scatters_more_goes_first():
         assert sorted(rank) == list(range(N))
         assert rank[wild].max() < rank[~wild].min()
     assert (ranks[0] != ranks[1]).any()
+
+
+@pytest.mark.parametrize(
+    ("share", "left_deg", "most"), [(0.4, 120.0, None), (0.4, 15.0, 0.65), (0.02, 60.0, 0.65)]
+)
+def test_a_wild_motor_goes_as_far_as_its_tube_keeps_within_the_room_beyond_its_target(share, left_deg, most):
+    """Quiet ones, and wild ones that are near, have the fixed share."""
+    stages, left = Stages.of(ARMS, PLANE.fiducials), np.column_stack([np.zeros(N), np.full(N, left_deg)])
+    motors = motors_at(folded(1), share, sigma_deg=1e-3)
+    way = motors.aimed_deg(left)
+    found = stages._shares(motors, left, way)[CobraStage.MOST]
+    ends = found * way[:, PHI] * (1.0 + 3.5 * share)
+    if most is None:
+        np.testing.assert_allclose(ends, left_deg + 60.0 * share, atol=0.01)
+    else:
+        assert (found == most).all()

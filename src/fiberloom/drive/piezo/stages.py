@@ -15,6 +15,8 @@ import numpy as np
 
 from fiberloom.drive.piezo.cobras import CobraArms
 from fiberloom.drive.piezo.swept import SweptCheck, box_of
+from fiberloom.drive.piezo.ways_out import ROOM_DEG as ROOM_BEYOND_DEG
+from fiberloom.drive.piezo.ways_out import ROOM_OF_SCATTER_DEG, leg_share
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
 
@@ -27,7 +29,7 @@ class CobraStage(IntEnum):
     GOAL = 0
     """To its goal."""
     MOST = 1
-    """Theta to its goal, phi a part of its way (SHARES)."""
+    """Theta to its goal, phi a part of its way: of a wild one so much that its tube keeps within its room."""
     HALF = 2
     LITTLE = 3
     TURN = 4
@@ -51,6 +53,8 @@ SPREAD_WAY_DEG, SPREAD_DIGITS = 20.0, 1
 """Motors are compared by what they miss in such a way, in tenths of a degree: nearer ones are equals."""
 SHARES = (1.0, 0.65, 0.4, 0.2)
 """Of phi's way, for the first stages."""
+MOST_WILD = 0.8
+"""At most the second of them, of a motor whose tube would not keep within its room."""
 
 
 class Motors(Protocol):
@@ -201,8 +205,8 @@ class Stages:
         inside, always = self.inside(here, doubt), np.ones(len(here), dtype=bool)
         # who folds does so first, who goes out last
         out = [
-            self._option(motors, here, here + way * np.array([1.0, share]), way[:, PHI] < 0.0)
-            for share in SHARES
+            self._option(motors, here, here + way * np.column_stack([always, share]), way[:, PHI] < 0.0)
+            for share in self._shares(motors, goal_deg - here, way)
         ]
         options = [
             *out,
@@ -218,6 +222,18 @@ class Stages:
         options[CobraStage.TURN].may[:] = turns_safely & (inside | folds)
         options[CobraStage.FOLD].may[:] = ~inside & folds
         return options
+
+    def _shares(self, motors: Motors, left: Floats, way: Floats) -> list[Floats]:
+        """(n,) of the way of phi, for each of SHARES; `left` (n, 2) deg to the goal, `way` (n, 2) of it."""
+        one_way = np.full(way.shape, ROOM_OF_SCATTER_DEG / self.settings.sigmas)
+        room = np.maximum(self._tube(motors, one_way)[:, PHI], ROOM_BEYOND_DEG)
+        left, told, tube = (np.abs(a)[:, PHI] for a in (left, way, self._tube(motors, way)))
+        within = leg_share(left, told, tube, room)
+        shares = [np.full(len(way), share) for share in SHARES]
+        shares[CobraStage.MOST] = np.where(
+            within < 1.0, np.minimum(within, MOST_WILD), SHARES[CobraStage.MOST]
+        )
+        return shares
 
     def _option(self, motors: Motors, here: Floats, target: Floats, phi_first: Flags) -> _Option:
         """Boxes of both legs: the first motor moves, then the second."""

@@ -25,6 +25,15 @@ ROOM_OF_SCATTER_DEG = 60.0
 With less a wild motor goes a part of what is left time and again, and is not there after the last move."""
 
 
+def leg_share(left_deg: Floats, told_deg: Floats, tube_deg: Floats, room_deg: Floats) -> Floats:
+    """(n,) shares, at most 1, of a way that end within the room beyond a target.
+
+    `left_deg` (n,): to the target; `told_deg` (n,) of it are aimed at; `tube_deg` (n,): what such a way may
+    miss its end by, in proportion; `room_deg` (n,): beyond the target. All in deg, not below 0.
+    """
+    return np.asarray(np.minimum((left_deg + room_deg) / np.maximum(told_deg + tube_deg, 1e-9), 1.0))
+
+
 @dataclass(frozen=True, eq=False)
 class WaysOut:
     """Ways out of the cobras of a plane."""
