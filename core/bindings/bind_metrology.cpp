@@ -6,8 +6,12 @@
 
 #include <nanobind/stl/array.h>
 
+#include <algorithm>
 #include <cstdlib>
+#include <mutex>
 #include <new>
+#include <utility>
+#include <vector>
 
 #if defined(__linux__)
 #include <sys/mman.h>
@@ -113,40 +117,126 @@ std::tuple<Output<double, -1>> widths(Input1<double> profile, Positions xy) {
     return {fwhm};
 }
 
+PsfKind kind_of(int kind) {
+    if (kind < 0 || kind > 2) throw nb::value_error("kind: 0 Gaussian, 1 Moffat, 2 disc");
+    return static_cast<PsfKind>(kind);
+}
+
 void render(nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> image,
             Input<double, -1, spot_columns> spots, int kind, double radius_q) {
-    if (kind < 0 || kind > 2) throw nb::value_error("kind: 0 Gaussian, 1 Moffat, 2 disc");
+    const PsfKind psf = kind_of(kind);
     nb::gil_scoped_release release;
     render_spots({image.data(), image.size()}, static_cast<int>(image.shape(1)),
-                 static_cast<int>(image.shape(0)), {spots.data(), spots.size()}, static_cast<PsfKind>(kind),
-                 radius_q);
+                 static_cast<int>(image.shape(0)), {spots.data(), spots.size()}, psf, radius_q);
 }
 
-// An image whose every pixel is written by whoever asks for it: nothing is wiped first, and on Linux its
-// pages are large, so that the kernel hands out a 512th as many of them.
-Output<uint16_t, -1, -1> new_image(size_t rows, size_t columns) {
-    constexpr size_t page_bytes = size_t{2} << 20;
-    const size_t bytes = rows * columns * sizeof(uint16_t);
-    const bool large = bytes >= 2 * page_bytes;
-    const size_t whole = (bytes + page_bytes - 1) / page_bytes * page_bytes;
-    void *data = large ? std::aligned_alloc(page_bytes, whole) : std::malloc(bytes);
-    if (data == nullptr && bytes > 0) throw std::bad_alloc();
+// Memory for large images. The last one that was given back is kept for the next of its size: the kernel
+// wipes what it hands out, which takes longer than to make an image.
+class ImageMemory {
+  public:
+    struct Block {
+        void *data = nullptr;
+        size_t bytes = 0;
+    };
+
+    static ImageMemory &one() {
+        static ImageMemory *memory = new ImageMemory; // never destroyed: images may outlive all else
+        return *memory;
+    }
+
+    // On Linux its pages are large, so that the kernel hands out a 512th as many of them.
+    Block *take(size_t bytes) {
+        constexpr size_t page_bytes = size_t{2} << 20;
+        const size_t whole = (bytes + page_bytes - 1) / page_bytes * page_bytes;
+        if (Block kept = exchange({}); kept.data != nullptr) {
+            if (kept.bytes == whole) return new Block(kept);
+            std::free(kept.data);
+        }
+        void *data = std::aligned_alloc(page_bytes, whole);
+        if (data == nullptr) throw std::bad_alloc();
 #if defined(__linux__)
-    if (large) madvise(data, whole, MADV_HUGEPAGE); // where it is refused, pages are small
+        madvise(data, whole, MADV_HUGEPAGE); // where it is refused, pages are small
 #endif
-    nb::capsule owner(data, [](void *p) noexcept { std::free(p); });
-    return Output<uint16_t, -1, -1>(data, {rows, columns}, owner);
+        return new Block{data, whole};
+    }
+
+    void give_back(Block *block) {
+        std::free(exchange(*block).data);
+        delete block;
+    }
+
+  private:
+    Block exchange(Block block) {
+        const std::lock_guard<std::mutex> guard(lock_);
+        return std::exchange(kept_, block);
+    }
+
+    std::mutex lock_;
+    Block kept_;
+};
+
+// An image whose every pixel is written by whoever asks for it: nothing is wiped first.
+Output<uint16_t, -1, -1> new_image(size_t rows, size_t columns) {
+    constexpr size_t large_bytes = size_t{4} << 20;
+    const size_t bytes = rows * columns * sizeof(uint16_t);
+    if (bytes >= large_bytes) {
+        ImageMemory::Block *block = ImageMemory::one().take(bytes);
+        nb::capsule owner(block, [](void *p) noexcept {
+            ImageMemory::one().give_back(static_cast<ImageMemory::Block *>(p));
+        });
+        return Output<uint16_t, -1, -1>(block->data, {rows, columns}, owner);
+    }
+    return new_array<uint16_t, -1, -1>({rows, columns});
 }
 
-Output<uint16_t, -1, -1> expose_image(Input2<float> light, std::array<double, 3> sky,
-                                      std::array<double, 4> detector, uint64_t seed, int threads) {
+using Three = std::array<double, 3>;
+using Four = std::array<double, 4>;
+
+Exposure exposure_of(const Three &sky, const Four &detector, uint64_t seed, int threads) {
+    return {{sky[0], sky[1], sky[2]}, {detector[0], detector[1], detector[2], detector[3]}, seed, threads};
+}
+
+Output<uint16_t, -1, -1> expose_image(Input2<float> light, Three sky, Four detector, uint64_t seed,
+                                      int threads) {
     auto adu = new_image(light.shape(0), light.shape(1));
-    const Exposure exposure{
-        {sky[0], sky[1], sky[2]}, {detector[0], detector[1], detector[2], detector[3]}, seed, threads};
+    const Exposure exposure = exposure_of(sky, detector, seed, threads);
     {
         nb::gil_scoped_release release;
         expose({light.data(), light.size()}, static_cast<int>(light.shape(1)), exposure,
                {adu.data(), light.size()});
+    }
+    return adu;
+}
+
+// `Lights` with what they are told by.
+struct KeptLights {
+    std::vector<double> spots;
+    PsfKind kind;
+    double radius_q;
+    std::vector<int64_t> pixels;
+    std::vector<float> electrons;
+};
+
+void lights_init(KeptLights *self, Input<double, -1, spot_columns> spots, int kind, double radius_q,
+                 Input1<int64_t> pixels, Input1<float> electrons) {
+    if (pixels.shape(0) != electrons.shape(0)) throw nb::value_error("electrons: a number for each pixel");
+    const auto list = [](const auto &in) { return std::vector(in.data(), in.data() + in.size()); };
+    new (self) KeptLights{list(spots), kind_of(kind), radius_q, list(pixels), list(electrons)};
+}
+
+Output<uint16_t, -1, -1> expose_painted(const KeptLights &lights, std::array<int, 2> shape, Three sky,
+                                        Four detector, uint64_t seed, int threads) {
+    if (shape[0] < 1 || shape[1] < 1) throw nb::value_error("shape: at least 1 x 1 pixels");
+    const int64_t count = int64_t{shape[0]} * shape[1];
+    const auto outside = [count](int64_t p) { return p < 0 || p >= count; };
+    if (std::any_of(lights.pixels.begin(), lights.pixels.end(), outside))
+        throw nb::value_error("pixels: one lies outside of the image");
+    auto adu = new_image(static_cast<size_t>(shape[0]), static_cast<size_t>(shape[1]));
+    const Lights seen{lights.spots, lights.kind, lights.radius_q, lights.pixels, lights.electrons};
+    const Exposure exposure = exposure_of(sky, detector, seed, threads);
+    {
+        nb::gil_scoped_release release;
+        expose_lights(seen, shape[1], exposure, {adu.data(), static_cast<size_t>(count)});
     }
     return adu;
 }
@@ -183,4 +273,12 @@ void bind_metrology(nb::module_ &m) {
           nb::arg("threads") = 1,
           "uint16 image: Poisson and read noise on light + sky (level, slope_x, slope_y), then detector "
           "(gain_e_adu, read_noise_e, bias_adu, full_well_e).");
+    nb::class_<KeptLights>(g, "Lights", "What shines in an image, in electrons.")
+        .def("__init__", &lights_init, nb::arg("spots"), nb::arg("kind"), nb::arg("radius_q"),
+             nb::arg("pixels"), nb::arg("electrons"),
+             "Spots as of `render_spots`, and `electrons` in single `pixels`: places row by row.");
+    g.def("expose_lights", &expose_painted, nb::arg("lights"), nb::arg("shape"), nb::arg("sky"),
+          nb::arg("detector"), nb::arg("seed"), nb::arg("threads") = 1,
+          "The image (rows, columns) that `expose` makes of lights that are rendered into one of `shape`, "
+          "without painting it as a whole first.");
 }

@@ -221,9 +221,8 @@ double Plant::speed_limit_rad_s(size_t axis) const {
 void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
     set(axis, &AxisGroup::still, 0);
-    // the few that count, not all: loads turn with the arms, so that this is done often
-    const double spring_Nm = param(axis, &PlantParams::spring_rate) * param(axis, &PlantParams::spring_free);
-    set(axis, &AxisGroup::load_0_Nms, h_s_ * (spring_Nm + torque_Nm) / param(axis, &PlantParams::gear_ratio));
+    set(axis, &AxisGroup::load_0_Nms,
+        h_s_ * (axes_[axis].spring_0_Nm + torque_Nm) / param(axis, &PlantParams::gear_ratio));
 }
 
 void Plant::set_faults(size_t axis, AxisFaults faults) {
@@ -282,6 +281,7 @@ void Plant::configure(size_t axis) {
     configure_gear(axis);
     configure_stops(axis);
     configure_hall(axis);
+    axes_[axis].spring_0_Nm = param(axis, &PlantParams::spring_rate) * param(axis, &PlantParams::spring_free);
     set_external_torque(axis, axes_[axis].torque_Nm);
 }
 

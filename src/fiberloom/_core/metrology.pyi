@@ -38,3 +38,16 @@ def expose(light_e: Annotated[NDArray[numpy.float32], dict(shape=(None, None), o
     """
     uint16 image: Poisson and read noise on light + sky (level, slope_x, slope_y), then detector (gain_e_adu, read_noise_e, bias_adu, full_well_e).
     """
+
+class Lights:
+    """What shines in an image, in electrons."""
+
+    def __init__(self, spots: Annotated[NDArray[numpy.float64], dict(shape=(None, 7), order='C', device='cpu', writable=False)], kind: int, radius_q: float, pixels: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], electrons: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Spots as of `render_spots`, and `electrons` in single `pixels`: places row by row.
+        """
+
+def expose_lights(lights: Lights, shape: Sequence[int], sky: Sequence[float], detector: Sequence[float], seed: int, threads: int = 1) -> Annotated[NDArray[numpy.uint16], dict(shape=(None, None))]:
+    """
+    The image (rows, columns) that `expose` makes of lights that are rendered into one of `shape`, without painting it as a whole first.
+    """

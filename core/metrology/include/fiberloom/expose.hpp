@@ -1,6 +1,8 @@
 // Light to digital units: what a detector makes of the electrons that it should have.
 #pragma once
 
+#include "fiberloom/render.hpp"
+
 #include <cstdint>
 #include <span>
 
@@ -29,13 +31,27 @@ struct Exposure {
     int threads = 1;        // the image does not depend on it
 };
 
+// Light that is painted while it is exposed: spots as of `render_spots`, and single pixels beside them.
+struct Lights {
+    std::span<const double> spots;
+    PsfKind kind = PsfKind::Gaussian;
+    double radius_q = 0;
+    std::span<const std::int64_t> pixels; // row by row, in any order, also more than once
+    std::span<const float> electrons;     // of those
+};
+
 // Poisson and read noise on `light` plus sky, then full well, gain, bias, rounding and the sixteen bits.
-// The noise of a row depends on seed and row alone, not on the number of threads. From 40 electrons on, one
-// Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) serves for both noises.
+// The noise of a row depends on its light, the seed and the row alone, not on the number of threads. From 40
+// electrons on, one Gaussian number with the skewness of the Poisson distribution (Cornish-Fisher) serves for
+// both noises.
 //
 // light_e: electrons per pixel, row by row, `width` to a row. adu: gets the image.
 // @pre width > 0; the size of light_e is a multiple of it; adu has the size of light_e; gain > 0.
 void expose(std::span<const float> light_e, int width, const Exposure &exposure,
             std::span<std::uint16_t> adu);
+
+// The same image as of all these lights rendered into one of zeros, but some rows at a time: none of the
+// electrons ever fill a whole image. @pre as above; as `render_spots`; pixels lie in the image.
+void expose_lights(const Lights &lights, int width, const Exposure &exposure, std::span<std::uint16_t> adu);
 
 } // namespace fl::metrology

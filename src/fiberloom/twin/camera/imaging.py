@@ -260,7 +260,6 @@ class ImagingCamera:
         self._strays_px = self._fixed.uniform(0, 1, (model.light.strays, 2)) * self._size()
         self._flux_scatter: dict[int, Floats] = {}
         self._hot = self._draw_hot()
-        self._canvas: NDArray[np.float32] | None = None
 
     def turn(self, turned_deg: float) -> None:
         """Turns the focal plane before the camera, by so many `turned_deg` from where it was at first."""
@@ -325,25 +324,16 @@ class ImagingCamera:
         """One exposure."""
         rng = np.random.default_rng([self.seed, 0xE0, self.exposures])
         self.exposures += 1
-        light = self._light(rng)
-        model, width = self.model, self.model.optics.geometry.width_px
-        sky = [model.light.background_e, model.light.gradient_e / width, 0.0]
+        model, g = self.model, self.model.optics.geometry
+        sources = self._sources(rng)
+        single = [self._hot, *self._cosmic_rays(rng)]
+        pixels, electrons = (np.concatenate(column) for column in zip(*single, strict=True))
+        sky = [model.light.background_e, model.light.gradient_e / g.width_px, 0.0]
         d = model.detector
         detector = [d.gain_e_adu, d.read_noise_e, d.bias_adu, d.full_well_e]
-        return _core.expose(light, sky, detector, int(rng.integers(2**63)), self.threads)
-
-    def _light(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        g = self.model.optics.geometry
-        if self._canvas is None:  # kept: fresh memory costs more than wiping it
-            self._canvas = np.empty((g.height_px, g.width_px), dtype=np.float32)
-        image = self._canvas
-        image.fill(0.0)
-        kind = self.model.psf.kind
-        _core.render_spots(image, self._sources(rng), PSF_KINDS[kind], self.model.psf.end_q)
-        where, electrons = self._hot
-        np.add.at(image.reshape(-1), where, electrons)
-        self._cosmic_rays(image, rng)
-        return image
+        lights = _core.Lights(sources, PSF_KINDS[model.psf.kind], model.psf.end_q, pixels, electrons)
+        shape = (g.height_px, g.width_px)
+        return _core.expose_lights(lights, shape, sky, detector, int(rng.integers(2**63)), self.threads)
 
     def _sources(self, rng: np.random.Generator) -> Floats:
         """(n, 7) for the painter: fibres, fiducials, strays."""
@@ -372,13 +362,16 @@ class ImagingCamera:
             self._flux_scatter[n] = np.exp(draw)
         return self._flux_scatter[n]
 
-    def _cosmic_rays(self, image: NDArray[np.float32], rng: np.random.Generator) -> None:
-        """Straight tracks one or two pixels wide."""
-        height, width = image.shape
+    def _cosmic_rays(self, rng: np.random.Generator) -> list[tuple[Ints, NDArray[np.float32]]]:
+        """Straight tracks one or two pixels wide: of each its pixels, row by row, and their electrons."""
+        width, height = self._size().astype(int)
+        tracks = []
         for _ in range(rng.poisson(self.model.detector.cosmic_rays)):
             start, angle = rng.uniform(0, 1, 2) * [width, height], rng.uniform(0, 2 * np.pi)
             step = np.arange(0.0, 1 + rng.exponential(8.0), 0.5)
             x = (start[0] + step * np.cos(angle)).astype(int)
             y = (start[1] + step * np.sin(angle)).astype(int)
             inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            np.add.at(image, (y[inside], x[inside]), np.float32(rng.uniform(150, 1500)))
+            pixels = y[inside] * width + x[inside]
+            tracks.append((pixels, np.full(len(pixels), rng.uniform(150, 1500), dtype=np.float32)))
+        return tracks

@@ -168,6 +168,7 @@ class Plant {
         std::unique_ptr<Broken> broken; // none: nothing is or was
         Bridge bridge;
         double torque_Nm = 0.0;
+        double spring_0_Nm = 0.0; // of the torsion spring at 0: its parameters lie far from here
     };
     static const Broken whole;
     const Broken &broken(size_t axis) const { return axes_[axis].broken ? *axes_[axis].broken : whole; }

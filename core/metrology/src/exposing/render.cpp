@@ -1,4 +1,4 @@
-#include "fiberloom/render.hpp"
+#include "painter.hpp"
 
 #include <algorithm>
 #include <array>
@@ -27,11 +27,6 @@ constexpr Rule four{4,
 constexpr Rule two{2, {-0.28867513459481288, 0.28867513459481288}, {0.5, 0.5}};
 constexpr Rule one{1, {0.0}, {1.0}};
 constexpr double core_q = 12, flank_q = 60;
-
-struct Source {
-    double x, y, xx, xy, yy, norm, parameter; // inverse of S, and the norm that makes the flux
-    double half_width, half_height;
-};
 
 // Powers up to this one are products.
 constexpr double most_power = 8;
@@ -71,8 +66,10 @@ double volume(PsfKind kind, double parameter) {
     return pi * (1 + parameter * parameter);
 }
 
-Source source(const double *s, PsfKind kind, double radius_q) {
+Source source(const double *s, PsfKind kind, double radius_q, int width, int height) {
     const double det = s[3] * s[5] - s[4] * s[4];
+    const double half_width = std::sqrt(radius_q * s[3]) + 0.5,
+                 half_height = std::sqrt(radius_q * s[5]) + 0.5;
     return {s[0],
             s[1],
             s[5] / det,
@@ -80,8 +77,10 @@ Source source(const double *s, PsfKind kind, double radius_q) {
             s[3] / det,
             s[2] / (volume(kind, s[6]) * std::sqrt(det)),
             s[6],
-            std::sqrt(radius_q * s[3]) + 0.5,
-            std::sqrt(radius_q * s[5]) + 0.5};
+            std::max(0, static_cast<int>(std::floor(s[0] - half_width))),
+            std::min(width - 1, static_cast<int>(std::ceil(s[0] + half_width))),
+            std::max(0, static_cast<int>(std::floor(s[1] - half_height))),
+            std::min(height - 1, static_cast<int>(std::ceil(s[1] + half_height)))};
 }
 
 double q_at(const Source &s, double dx, double dy) {
@@ -142,12 +141,12 @@ void add_run(const Source &s, PsfKind kind, const Run &run, float *row) {
     for (int k = 0; k < run.count; ++k) row[run.first + k] += static_cast<float>(s.norm * sum[k]);
 }
 
-// Pixels x0 to x1 of row j.
-void add_row(const Source &s, PsfKind kind, int x0, int x1, int j, float *row) {
-    for (int i = x0; i <= x1;) {
+// The pixels of row j.
+void add_row(const Source &s, PsfKind kind, int j, float *row) {
+    for (int i = s.x0; i <= s.x1;) {
         const Rule &rule = rule_at(s, kind, i, j);
         int end = i + 1;
-        while (end <= x1 && end - i < run_pixels && &rule_at(s, kind, end, j) == &rule) ++end;
+        while (end <= s.x1 && end - i < run_pixels && &rule_at(s, kind, end, j) == &rule) ++end;
         add_run(s, kind, {i, end - i, j, rule}, row);
         i = end;
     }
@@ -155,18 +154,28 @@ void add_row(const Source &s, PsfKind kind, int x0, int x1, int j, float *row) {
 
 } // namespace
 
+Painter::Painter(int width, int height, std::span<const double> spots, PsfKind kind, double radius_q)
+    : width_(width), kind_(kind) {
+    for (std::size_t k = 0; k + spot_columns <= spots.size(); k += spot_columns)
+        sources_.push_back(source(&spots[k], kind, radius_q, width, height));
+}
+
+void Painter::paint(int begin, int end, float *rows, unsigned char *lit, int mark_px) const {
+    const int marks = (width_ + mark_px - 1) / mark_px;
+    for (const Source &s : sources_) {
+        if (s.x0 > s.x1) continue;
+        for (int j = std::max(s.y0, begin); j <= std::min(s.y1, end - 1); ++j) {
+            add_row(s, kind_, j, rows + static_cast<std::ptrdiff_t>(j - begin) * width_);
+            if (lit != nullptr)
+                std::fill(lit + (j - begin) * marks + s.x0 / mark_px,
+                          lit + (j - begin) * marks + s.x1 / mark_px + 1, static_cast<unsigned char>(1));
+        }
+    }
+}
+
 void render_spots(std::span<float> image, int width, int height, std::span<const double> spots, PsfKind kind,
                   double radius_q) {
-    for (std::size_t k = 0; k + spot_columns <= spots.size(); k += spot_columns) {
-        const Source s = source(&spots[k], kind, radius_q);
-        const int x0 = std::max(0, static_cast<int>(std::floor(s.x - s.half_width)));
-        const int x1 = std::min(width - 1, static_cast<int>(std::ceil(s.x + s.half_width)));
-        const int y0 = std::max(0, static_cast<int>(std::floor(s.y - s.half_height)));
-        const int y1 = std::min(height - 1, static_cast<int>(std::ceil(s.y + s.half_height)));
-        for (int j = y0; j <= y1; ++j)
-            add_row(s, kind, x0, x1, j,
-                    image.data() + static_cast<std::size_t>(j) * static_cast<std::size_t>(width));
-    }
+    Painter(width, height, spots, kind, radius_q).paint(0, height, image.data(), nullptr, 1);
 }
 
 } // namespace fl::metrology

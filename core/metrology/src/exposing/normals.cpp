@@ -1,0 +1,223 @@
+#include "normals.hpp"
+
+#include <bit>
+#include <cmath>
+#include <cstring>
+
+// Numbers may be drawn by wider vectors where a machine has them, with the same bits.
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
+#define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
+#else
+#define FL_CLONES
+#endif
+
+namespace fl::metrology {
+namespace {
+
+constexpr int part_bits = 11, place_bits = 16 - part_bits;
+constexpr int part_count = 1 << part_bits, tail_parts = 8;
+constexpr std::size_t middle_count = 4096;
+const double pi = std::acos(-1.0);
+
+std::uint64_t splitmix(std::uint64_t &seed) {
+    seed += 0x9E3779B97F4A7C15u;
+    std::uint64_t z = seed;
+    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+    return z ^ (z >> 31);
+}
+
+double density(double x) { return std::exp(-0.5 * x * x) / std::sqrt(2 * pi); }
+
+// Where the distribution has reached a share, by Newton from below.
+double quantile(double share, double from) {
+    double x = from;
+    for (int i = 0; i < 20; ++i) {
+        const double step = (0.5 * std::erfc(-x / std::sqrt(2.0)) - share) / density(x);
+        x -= step;
+        if (std::fabs(step) < 1e-12) break;
+    }
+    return x;
+}
+
+using Middles = std::array<float, middle_count>;
+
+// Quantiles at the middles of equal parts.
+Middles middles() {
+    Middles out{};
+    double x = -4, squares = 0;
+    for (std::size_t k = 0; k < middle_count; ++k) {
+        x = quantile((static_cast<double>(k) + 0.5) / middle_count, x);
+        out[k] = static_cast<float>(x);
+        squares += x * x;
+    }
+    for (float &v : out) v *= static_cast<float>(std::sqrt(middle_count / squares));
+    return out;
+}
+
+// A part of the distribution: its mean, and how wide it is.
+struct Part {
+    float mean, width;
+};
+using Parts = std::array<Part, part_count>;
+
+// The mean by the density at both ends, which is the integral of x times the density. The outermost have no
+// end.
+Parts equal_parts() {
+    Parts out{};
+    double x = -4, before = 0, from = 0;
+    for (std::size_t k = 0; k < part_count; ++k) {
+        const bool last = k + 1 == part_count;
+        if (!last) x = quantile(static_cast<double>(k + 1) / part_count, x);
+        const double after = last ? 0.0 : density(x);
+        out[k] = {static_cast<float>((before - after) * part_count), static_cast<float>(x - from)};
+        before = after, from = x;
+    }
+    return out;
+}
+
+// Of a share below 0.075, by the rational functions of Wichura (1988, AS 241): to 1e-16 of itself.
+double tail_quantile(double share) {
+    const double root = std::sqrt(-std::log(share));
+    if (root <= 5.0) {
+        const double r = root - 1.6;
+        const double over = ((((((7.74545014278341407640e-4 * r + 2.27238449892691845833e-2) * r +
+                                 2.41780725177450611770e-1) *
+                                    r +
+                                1.27045825245236838258) *
+                                   r +
+                               3.64784832476320460504) *
+                                  r +
+                              5.76949722146069140550) *
+                                 r +
+                             4.63033784615654529590) *
+                                r +
+                            1.42343711074968357734;
+        const double under = ((((((1.05075007164441684324e-9 * r + 5.47593808499534494600e-4) * r +
+                                  1.51986665636164571966e-2) *
+                                     r +
+                                 1.48103976427480074590e-1) *
+                                    r +
+                                6.89767334985100004550e-1) *
+                                   r +
+                               1.67638483018380384940) *
+                                  r +
+                              2.05319162663775882187) *
+                                 r +
+                             1.0;
+        return -over / under;
+    }
+    const double r = root - 5.0;
+    const double over =
+        ((((((2.01033439929228813265e-7 * r + 2.71155556874348757815e-5) * r + 1.24266094738807843860e-3) *
+                r +
+            2.65321895265761230930e-2) *
+               r +
+           2.96560571828504891230e-1) *
+              r +
+          1.78482653991729133580) *
+             r +
+         5.46378491116411436990) *
+            r +
+        6.65790464350110377720;
+    const double under =
+        ((((((2.04426310338993978564e-15 * r + 1.42151175831644588870e-7) * r + 1.84631831751005468180e-5) *
+                r +
+            7.86869131145613259100e-4) *
+               r +
+           1.48753612908506148525e-2) *
+              r +
+          1.36929880922735805310e-1) *
+             r +
+         5.99832206555887937690e-1) *
+            r +
+        1.0;
+    return -over / under;
+}
+
+// A number of one of the outermost parts.
+float tail(int part, Random &random) {
+    const bool upper = part >= part_count / 2;
+    const int from_the_end = upper ? part_count - 1 - part : part;
+    // never 0: the middle of a step
+    const double within = random.uniform() + 0x1p-54;
+    const double z = tail_quantile((from_the_end + within) / part_count);
+    return static_cast<float>(upper ? -z : z);
+}
+
+using Word8 = std::uint64_t __attribute__((vector_size(64)));
+
+// The next 16 bits of each pixel: its part, the place in it from -1/2 to 1/2, and whether it is an outermost
+// one.
+struct Choices {
+    alignas(64) std::uint16_t part[stretch_px];
+    alignas(64) float place[stretch_px];
+    alignas(64) unsigned char outermost[stretch_px];
+};
+
+FL_CLONES void choose(std::uint64_t (*state)[8], Choices &out) {
+    Word8 s[4];
+    std::memcpy(s, state, sizeof s);
+    std::uint16_t bits[stretch_px];
+    for (int k = 0; k < stretch_px; k += 32) {
+        const Word8 sum = s[0] + s[3];
+        const Word8 word = (sum << 23 | sum >> 41) + s[0], t = s[1] << 17;
+        s[2] ^= s[0], s[3] ^= s[1], s[1] ^= s[2], s[0] ^= s[3];
+        s[2] ^= t;
+        s[3] = s[3] << 45 | s[3] >> 19;
+        std::memcpy(bits + k, &word, sizeof word);
+    }
+    std::memcpy(state, s, sizeof s);
+    constexpr int places = 1 << place_bits;
+    for (int k = 0; k < stretch_px; ++k) {
+        const int part = bits[k] >> place_bits;
+        out.part[k] = static_cast<std::uint16_t>(part);
+        out.outermost[k] =
+            static_cast<unsigned char>((part < tail_parts) | (part >= part_count - tail_parts));
+    }
+    for (int k = 0; k < stretch_px; ++k)
+        out.place[k] = (static_cast<float>(bits[k] & (places - 1)) - 0.5f * (places - 1)) / places;
+}
+
+FL_CLONES void put(const Part *part, const float *place, float *z) {
+    for (int k = 0; k < stretch_px; ++k) z[k] = part[k].mean + place[k] * part[k].width;
+}
+
+} // namespace
+
+Random::Random(std::uint64_t seed) {
+    for (std::uint64_t &word : state_) word = splitmix(seed);
+}
+
+double normal(Random &random) {
+    static const Middles table = middles();
+    const std::uint64_t b = random.bits();
+    const float upper = table[b >> 52] + table[(b >> 40) & 4095];
+    const float lower = table[(b >> 28) & 4095] + table[(b >> 16) & 4095];
+    return static_cast<double>(0.5f * (upper + lower));
+}
+
+Normals::Normals(std::uint64_t seed) : tails_(seed ^ 0x5851F42D4C957F2Du) {
+    for (auto &words : state_)
+        for (std::uint64_t &word : words) word = splitmix(seed);
+}
+
+void Normals::draw(float (&z)[stretch_px]) {
+    static const Parts table = equal_parts();
+    Choices chosen;
+    choose(state_, chosen);
+    Part parts[stretch_px];
+#pragma GCC unroll 8
+    for (int k = 0; k < stretch_px; ++k) parts[k] = table[chosen.part[k]];
+    put(parts, chosen.place, z);
+    for (int word = 0; word < stretch_px; word += 8) {
+        std::uint64_t eight;
+        std::memcpy(&eight, chosen.outermost + word, sizeof eight);
+        for (; eight != 0; eight &= eight - 1) {
+            const int k = word + std::countr_zero(eight) / 8;
+            z[k] = tail(chosen.part[k], tails_);
+        }
+    }
+}
+
+} // namespace fl::metrology
