@@ -68,17 +68,6 @@ size_t axis_at(size_t group, size_t lane) {
     return 2 * (group * lane_group_size + lane % lane_group_size) + lane / lane_group_size;
 }
 
-// Standard normal, nearly: twelve times three bytes of a scrambled counter (Irwin-Hall, ends at six).
-double bell(uint32_t key, uint32_t count) {
-    uint64_t z = (static_cast<uint64_t>(key) << 32 | count) * 0x9E3779B97F4A7C15ULL;
-    uint64_t sum = 0;
-    for (int i = 0; i < 12; ++i) {
-        z = (z ^ (z >> 31)) * 0xBF58476D1CE4E5B9ULL;
-        sum += z >> 40;
-    }
-    return static_cast<double>(static_cast<int64_t>(sum)) * 0x1p-24 - 6.0;
-}
-
 // Lanes without an axis must be harmless to step: nothing moves them, no division by zero.
 AxisGroup idle_group() {
     AxisGroup g{};
@@ -137,13 +126,22 @@ void Plant::step(size_t group) {
 // does not wait for another's.
 void Plant::follow_cells(size_t group, uint64_t lanes) {
     int32_t nodes[lane_count];
+    alignas(64) uint64_t counter[lane_count] = {};
+    alignas(64) double bell[lane_count];
     const auto each = [lanes](auto &&what) {
-        for (uint64_t left = lanes; left != 0; left &= left - 1)
-            what(static_cast<size_t>(__builtin_ctzll(left)));
+        size_t k = 0;
+        for (uint64_t left = lanes; left != 0; left &= left - 1, ++k)
+            what(k, static_cast<size_t>(__builtin_ctzll(left)));
     };
-    each([&](size_t lane) { fetch(axis_at(group, lane)); });
-    each([&](size_t lane) { nodes[lane] = follow_cell(axis_at(group, lane)); });
-    each([&](size_t lane) { follow_seat(axis_at(group, lane), nodes[lane]); });
+    int count = 0;
+    each([&](size_t, size_t lane) {
+        fetch(axis_at(group, lane));
+        ++count;
+    });
+    each([&](size_t k, size_t lane) { nodes[k] = follow_cell(axis_at(group, lane)); });
+    each([&](size_t k, size_t lane) { counter[k] = axes_[axis_at(group, lane)].seat.counter(); });
+    kernel_->bells(counter, bell, count);
+    each([&](size_t k, size_t lane) { follow_seat(axis_at(group, lane), nodes[k], bell[k]); });
 }
 
 // It may lie far from the processor: what a new cell asks for, at once.
@@ -160,7 +158,7 @@ void Plant::fetch_gear(size_t axis) const {
     const int32_t at = a.cell.index & (quad_nodes - 1);
     if (at != 0 && at != quad_nodes - 3) return;
     const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
-    const size_t bytes = a.gear.wave_count() * sizeof(Gear::Wave);
+    const size_t bytes = a.gear.wave_count * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
 }
 
@@ -366,18 +364,20 @@ void Plant::configure_hall(size_t axis) {
 }
 
 void Plant::load_cell(size_t axis) {
+    AxisGroup &g = group_of(axis);
+    const auto at = static_cast<size_t>(place(axis).lane);
     const Cell &cell = axes_[axis].cell;
     const Cell::Straight backlash = cell.backlash();
-    set(axis, &AxisGroup::backlash_0_rad, backlash.at_0_rad);
-    set(axis, &AxisGroup::backlash_scale, 1.0 / (1.0 + backlash.slope));
-    set(axis, &AxisGroup::cell_lo_rad, cell.lo.gear_rad);
-    set(axis, &AxisGroup::cell_hi_rad, cell.hi.gear_rad);
+    g.backlash_0_rad[at] = backlash.at_0_rad;
+    g.backlash_scale[at] = 1.0 / (1.0 + backlash.slope);
+    g.cell_lo_rad[at] = cell.lo.gear_rad;
+    g.cell_hi_rad[at] = cell.hi.gear_rad;
 }
 
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    a.cell = cell_of_gear(a.gear, param(axis, &PlantParams::gear_ratio), gear_rad, a.cell, a.quad);
+    seek_gear(a.gear, param(axis, &PlantParams::gear_ratio), gear_rad, a.cell, a.quad);
     load_cell(axis);
 }
 
@@ -396,16 +396,26 @@ int32_t Plant::follow_cell(size_t axis) {
     return axes_[axis].cell.index - before;
 }
 
-// The cell moved on by so many nodes, up or down: what lies behind is forgotten.
-void Plant::follow_seat(size_t axis, int32_t nodes) {
+// The cell moved on by so many nodes, up or down: what lies behind is forgotten. bell: of the seat's counter.
+void Plant::follow_seat(size_t axis, int32_t nodes, double bell) {
     const double rms_rad = param(axis, &PlantParams::seat_rms);
     if (rms_rad == 0.0) return;
     Seat &seat = axes_[axis].seat;
-    const auto next = [&](double from_rad) {
-        return seat_memory * from_rad + seat_news * rms_rad * bell(seat.key, seat.passes++);
-    };
-    for (; nodes > 0; --nodes) seat.lo_rad = std::exchange(seat.hi_rad, next(seat.hi_rad));
-    for (; nodes < 0; ++nodes) seat.hi_rad = std::exchange(seat.lo_rad, next(seat.lo_rad));
+    double &ahead_rad = nodes > 0 ? seat.hi_rad : seat.lo_rad;
+    double &behind_rad = nodes > 0 ? seat.lo_rad : seat.hi_rad;
+    for (int32_t left = std::abs(nodes); left > 0; --left) {
+        behind_rad = std::exchange(ahead_rad, seat_memory * ahead_rad + seat_news * rms_rad * bell);
+        ++seat.passes;
+        if (left > 1) bell = next_bell(seat);
+    }
+}
+
+// Of one axis that has passed several nodes at once.
+double Plant::next_bell(const Seat &seat) const {
+    const uint64_t counter[bell_vector] = {seat.counter()};
+    double bell[bell_vector];
+    kernel_->bells(counter, bell, 1);
+    return bell[0];
 }
 
 double Plant::stop_torque_Nm(size_t axis) const {

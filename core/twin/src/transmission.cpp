@@ -115,7 +115,8 @@ Gear::Gear(const Transmission &t)
     const auto silent = [](const Harmonic &h) { return h.cos == 0.0 && h.sin == 0.0; };
     for (size_t i = 0; i < harmonic_count; ++i)
         if (!silent(t.delta_rad[i]) || !silent(t.backlash_rad[i])) orders |= 1U << i;
-    waves = std::make_unique<Wave[]>(wave_count());
+    wave_count = static_cast<uint32_t>(std::popcount(orders));
+    waves = std::make_unique<Wave[]>(wave_count);
     Wave *wave = waves.get();
     for (uint32_t left = orders; left != 0; left &= left - 1) {
         const auto i = static_cast<size_t>(std::countr_zero(left));
@@ -147,18 +148,15 @@ Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index) {
     return {index, lo, quad.at(gear, gear_ratio, index + 1)};
 }
 
-Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeQuad &quad) {
-    int32_t index = near.index;
-    Node lo = near.lo, hi = near.hi;
-    while (gear_rad >= hi.gear_rad) {
-        lo = hi;
-        hi = quad.at(gear, gear_ratio, ++index + 1);
+void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeQuad &quad) {
+    while (gear_rad >= cell.hi.gear_rad) {
+        cell.lo = cell.hi;
+        cell.hi = quad.at(gear, gear_ratio, ++cell.index + 1);
     }
-    while (gear_rad < lo.gear_rad) {
-        hi = lo;
-        lo = quad.at(gear, gear_ratio, --index);
+    while (gear_rad < cell.lo.gear_rad) {
+        cell.hi = cell.lo;
+        cell.lo = quad.at(gear, gear_ratio, --cell.index);
     }
-    return {index, lo, hi};
 }
 
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad) {

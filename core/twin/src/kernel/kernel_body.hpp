@@ -118,26 +118,21 @@ void drive(AxisGroup &g) {
     }
 }
 
-// Spring, outside torque and hard stops change by less than 1e-9 of the friction inside a tick. The gear
-// takes from the rotor its friction and this load, and never gives: not below zero.
-inline void load_gear(AxisGroup &g, int chunk) {
+// From angles to ways since the start of the tick. Spring, outside torque and hard stops change by less than
+// 1e-9 of the friction inside it. The gear takes from the rotor its friction and this load, and never gives:
+// not below zero.
+inline void begin_ways(AxisGroup &g, int chunk) {
     for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const double gear = g.gear_rad[i];
+        const double gear = g.gear_rad[i], theta = g.theta_rad[i];
         const double over = larger(gear - g.stop_hi_rad[i], 0.0) + smaller(gear - g.stop_lo_rad[i], 0.0);
         const double push = g.load_0_Nms[i] + g.load_1_Nms[i] * gear - g.stop_Nms[i] * over;
         const double friction = static_cast<double>(g.coulomb_gear_Nms[i]);
         g.resist_up_Nms[i] = static_cast<float>(larger(friction - push, 0.0));
         g.resist_down_Nms[i] = static_cast<float>(larger(friction + push, 0.0));
-    }
-}
-
-// From angles to ways since the start of the tick.
-inline void begin_ways(AxisGroup &g, int chunk) {
-    for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const double theta = g.theta_rad[i], closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
+        const double closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
         g.closed_rad[i] = static_cast<float>(closed - theta);
         g.closed_scale[i] = static_cast<float>(g.backlash_scale[i]);
-        g.gear_ahead_rad[i] = g.gear_start_rad[i] = static_cast<float>(g.gear_rad[i] - theta);
+        g.gear_ahead_rad[i] = g.gear_start_rad[i] = static_cast<float>(gear - theta);
         g.turned_rad[i] = 0.0f;
     }
 }
@@ -159,16 +154,33 @@ inline void end_ways(AxisGroup &g, int chunk) {
     }
 }
 
+typedef double Exact __attribute__((vector_size(4 * width), may_alias));
+typedef int64_t ExactMask __attribute__((vector_size(4 * width), may_alias));
+constexpr int exact_width = width / 2;
+
+inline Exact load(const double *p) { return *reinterpret_cast<const Exact *>(p); }
+
+// A bit for each flag that is set.
+inline uint64_t bits_of(ExactMask flags) {
+#if FL_KERNEL_WIDTH == 16
+    return _mm512_movepi64_mask(reinterpret_cast<__m512i>(flags));
+#elif FL_KERNEL_WIDTH == 8
+    return static_cast<uint64_t>(_mm256_movemask_pd(reinterpret_cast<__m256d>(flags)));
+#else
+    uint64_t bits = 0;
+    for (int k = 0; k < exact_width; ++k) bits |= static_cast<uint64_t>(flags[k] & 1) << k;
+    return bits;
+#endif
+}
+
 // A bit for each lane whose gear has left its cell.
 inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
-    uint32_t out = 0;
-    for (int k = 0; k < chunk_size; ++k) {
-        const double gear = g.gear_rad[chunk + k];
-        const uint32_t leaves = static_cast<uint32_t>(gear < g.cell_lo_rad[chunk + k]) |
-                                static_cast<uint32_t>(gear >= g.cell_hi_rad[chunk + k]);
-        out |= leaves << k;
+    uint64_t out = 0;
+    for (int i = chunk; i < chunk + chunk_size; i += exact_width) {
+        const Exact gear = load(g.gear_rad + i);
+        out |= bits_of((gear < load(g.cell_lo_rad + i)) | (gear >= load(g.cell_hi_rad + i))) << i;
     }
-    return uint64_t{out} << chunk;
+    return out;
 }
 
 // -- inside a tick, in registers -----------------------------------------------------------------
@@ -461,6 +473,22 @@ inline void move_coarsely(AxisGroup &g, const int *chunks, Substeps substeps, Ch
     }
 }
 
+// -- seats --------------------------------------------------------------------------------------
+
+// A sum of twelve times three bytes of a scrambled counter.
+void bells(const uint64_t *__restrict counter, double *__restrict bell, int count) {
+    constexpr int together = width > 4 ? bell_vector : 1; // the baseline has no product of 64 bits
+    for (int first = 0; first < count; first += together)
+        for (int i = first; i < first + together; ++i) {
+            uint64_t z = counter[i] * 0x9E3779B97F4A7C15ULL, sum = 0;
+            for (int k = 0; k < 12; ++k) {
+                z = (z ^ (z >> 31)) * 0xBF58476D1CE4E5B9ULL;
+                sum += z >> 40;
+            }
+            bell[i] = static_cast<double>(static_cast<int32_t>(sum)) * 0x1p-24 - 6.0;
+        }
+}
+
 // -- a tick -------------------------------------------------------------------------------------
 
 template <int most> inline void move_all(AxisGroup &g, const Chunks &chunks, int substeps, const Done *done) {
@@ -510,10 +538,7 @@ TickEvents step(AxisGroup &g, Substeps substeps) {
     Chunks moving;
     for (int c = 0; c < lane_count; c += chunk_size)
         if (!all_of_chunk(c, [&](int i, int) { return still(g, i); })) moving.add(c);
-    for (int k = 0; k < moving.count; ++k) {
-        load_gear(g, moving.at[k]);
-        begin_ways(g, moving.at[k]);
-    }
+    for (int k = 0; k < moving.count; ++k) begin_ways(g, moving.at[k]);
     if (substeps.pushing == substeps.all)
         move_alike(g, moving, substeps.all);
     else
@@ -529,7 +554,7 @@ TickEvents step(AxisGroup &g, Substeps substeps) {
 } // namespace
 
 extern const Kernel FL_KERNEL_SYMBOL;
-const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense,       drive,     step,
+const Kernel FL_KERNEL_SYMBOL = {FL_KERNEL_NAME, sense,       drive,     step,      bells,
                                  hall_law,       advance_law, drive_law, settle_law};
 
 } // namespace fl::twin

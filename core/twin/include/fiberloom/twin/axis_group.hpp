@@ -86,6 +86,8 @@ struct Substeps {
 struct LawBatch;
 struct LawScratch;
 
+inline constexpr int bell_vector = 8;
+
 // One build of the inner loops for one instruction set. All builds do the same operations in the same
 // order without contraction, so they agree to the bit.
 struct Kernel {
@@ -93,6 +95,9 @@ struct Kernel {
     void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
     void (*drive)(AxisGroup &group);                // duties to drive impulses
     TickEvents (*step)(AxisGroup &group, Substeps substeps);
+    // Standard normal numbers, nearly, out of counters: Irwin-Hall of twelve, ends at six. Whole vectors of
+    // bell_vector are read and written.
+    void (*bells)(const uint64_t *counter, double *bell, int count);
     // the firmware's laws for one axis of a lane group, law_batch.hpp
     void (*hall_law)(LawBatch &batch, LawScratch &scratch);
     // the commands of those that cruise

@@ -146,6 +146,7 @@ class Plant {
     struct Seat {
         double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
         uint32_t key = 0, passes = 0;
+        uint64_t counter() const { return uint64_t{key} << 32 | passes; } // of the next number
     };
     // Open: no switch conducts, the duties do not count. Floating: no diode does either.
     struct Bridge {
@@ -196,7 +197,8 @@ class Plant {
     void seek_cell(size_t axis, double gear_rad);
     void follow_cells(size_t group, uint64_t lanes);
     int32_t follow_cell(size_t axis);
-    void follow_seat(size_t axis, int32_t nodes);
+    void follow_seat(size_t axis, int32_t nodes, double bell);
+    double next_bell(const Seat &seat) const;
     double stop_torque_Nm(size_t axis) const;
     double geared_rad(size_t axis) const;
     void slip(size_t axis);

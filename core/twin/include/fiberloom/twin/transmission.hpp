@@ -64,11 +64,11 @@ struct Gear {
     explicit Gear(const Transmission &t);
     // Memory beside the object itself.
     size_t bytes() const {
-        return wave_count() * sizeof(Wave) + (wear != nullptr ? sizeof(WearMarks) : size_t{0});
+        return wave_count * sizeof(Wave) + (wear != nullptr ? sizeof(WearMarks) : size_t{0});
     }
-    size_t wave_count() const { return static_cast<size_t>(std::popcount(orders)); }
 
     uint32_t orders = 0;                   // a bit for each of harmonic_orders that it has
+    uint32_t wave_count = 0;               // how many they are
     std::unique_ptr<Wave[]> waves;         // of each of them
     double backlash_mean_rad = 0.0;        // motor angle
     std::unique_ptr<const WearMarks> wear; // none: not worn
@@ -124,8 +124,8 @@ struct NodeQuad {
 Node transmission_node(const Gear &gear, double gear_ratio, int32_t index);
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index);
 
-// The cell that holds a gear angle, sought from a cell of the same gear. `quad` is of that gear.
-Cell cell_of_gear(const Gear &gear, double gear_ratio, double gear_rad, const Cell &near, NodeQuad &quad);
+// Moves a cell of a gear to where it holds a gear angle. `quad` is of the same gear.
+void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeQuad &quad);
 // The cell that holds an output angle.
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad);
 
