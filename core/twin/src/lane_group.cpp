@@ -163,7 +163,7 @@ void LaneGroup::take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done
 uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {
     uint32_t fell = 0;
     each(awake_ & ~cruise_, [&](size_t i) {
-        positioners_[i].rest(*plant_, tick, may_sleep);
+        positioners_[i].rest(tick, may_sleep);
         fell |= static_cast<uint32_t>(positioners_[i].asleep()) << i;
     });
     return fell;

@@ -45,6 +45,7 @@ struct alignas(64) PositionerGroup {
     Plant *plant = nullptr;
     AxisGroup *lanes = nullptr;
     uint32_t awake = 0;                  // a bit for each that is not asleep
+    uint64_t now = 0;                    // tick of the last call into a firmware of them
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
     Outbox outbox;
 };
@@ -72,7 +73,7 @@ class Positioner {
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     // False when the firmware has nothing to do for its axes in this tick.
     bool begin_tick(uint64_t tick) {
-        now_ = tick;
+        group_->now = tick;
         ++group_->ticks_run;
         return fl_positioner_begin_tick(&firmware_);
     }
@@ -85,7 +86,7 @@ class Positioner {
     }
     // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
     void count_ticks(uint32_t ticks, uint64_t tick) {
-        now_ = tick;
+        group_->now = tick;
         group_->ticks_run += ticks;
         fl_positioner_skip(&firmware_, ticks);
     }
@@ -94,7 +95,7 @@ class Positioner {
         adc_cnt[1] = last_hall_[axis][1] = static_cast<uint16_t>(b_cnt);
     }
     // After the ticks before this one: falls asleep when nothing will change.
-    void rest(const Plant &plant, uint64_t tick, bool may_sleep);
+    void rest(uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
     bool asleep() const { return (group_->awake >> lane() & 1U) == 0; }
     const PositionerGroup &group() const { return *group_; }
@@ -149,7 +150,7 @@ class Positioner {
     size_t number(int axis) const { return 2 * size_t{index_} + static_cast<size_t>(axis); } // in the plant
     fl_port_t port();
     void start(uint16_t id);
-    bool changed(const Plant &plant);
+    bool still() const;
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
     fl_positioner_t firmware_{};
@@ -159,10 +160,8 @@ class Positioner {
     std::unique_ptr<PositionerFaults> faults_; // none: sound
     PositionerGroup *group_ = nullptr;
     Flash storage_;
-    uint64_t now_ = 0; // tick of the call into the firmware
     uint64_t asleep_since_ = 0;
     uint32_t index_ = 0;
-    Plant::Rotor last_rotor_[FL_AXES] = {};
     uint16_t last_hall_[FL_AXES][2] = {};
     std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;
     bool scope_on_[FL_AXES] = {false, false};
