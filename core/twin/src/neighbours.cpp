@@ -74,13 +74,13 @@ double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_
 
 // Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
 void Neighbours::find_speeds(const std::vector<Give> &gives) {
-    speed_mm_s_.reserve(arms_.size());
+    most_mm_.reserve(arms_.size());
     levers_mm_.reserve(arms_.size());
     for (size_t i = 0; i < arms_.size(); ++i) {
         const double *w = gives[i].speed_limit_rad_s;
         const double *turn = gives[i].output_per_gear;
         const double length_mm = arms_[i].l_alpha_mm + body_.to_mm;
-        speed_mm_s_.push_back(2.0 * (w[0] * length_mm + w[1] * body_.to_mm));
+        most_mm_.push_back(2.0 * (w[0] * length_mm + w[1] * body_.to_mm) * tick_s);
         levers_mm_.push_back({turn[0] * length_mm, turn[1] * body_.to_mm});
     }
 }
@@ -110,7 +110,7 @@ void Neighbours::find_neighbours() {
 
 size_t Neighbours::bytes() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
-    return held(arms_) + held(obstacles_) + held(compliances_) + held(speed_mm_s_) + held(near_) +
+    return held(arms_) + held(obstacles_) + held(compliances_) + held(most_mm_) + held(near_) +
            held(first_near_) + held(levers_mm_) + held(next_look_) + held(next_exact_);
 }
 
@@ -186,10 +186,10 @@ double Neighbours::touch(Look &look, const Touched &body) const {
 Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &poses) const {
     if (number < arms_.size()) {
         const Pose &pose = poses[number];
-        return {number, pose.line, 2.0 * body_.radius_mm, pose.spring_mm, speed_mm_s_[number], &pose};
+        return {number, pose.line, 2.0 * body_.radius_mm, pose.spring_mm, &pose};
     }
     const Obstacle &o = obstacles_[number - arms_.size()];
-    return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, 0.0, nullptr};
+    return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, nullptr};
 }
 
 // How far apart two are at least. Poses are asked for where that may be nothing at the next sync point.
@@ -203,9 +203,9 @@ double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
 }
 
 void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const {
-    const double other_mm_s = near.number < arms_.size() ? speed_mm_s_[near.number] : 0.0;
-    const double free_s = std::max(apart_mm, 0.0) / (speed_mm_s_[look.i] + other_mm_s);
-    const auto free_ticks = static_cast<uint64_t>(std::min(free_s / tick_s, most_free_ticks));
+    const double other_mm = near.number < arms_.size() ? most_mm_[near.number] : 0.0;
+    const double free = std::max(apart_mm, 0.0) / (most_mm_[look.i] + other_mm);
+    const auto free_ticks = static_cast<uint64_t>(static_cast<int64_t>(std::min(free, most_free_ticks)));
     const bool touching = in_touch(look.now, static_cast<uint32_t>(near.number));
     const bool close = touching || free_ticks < sync_ticks || apart_mm < near.worth_mm();
     near.exact = close ? 1 : 0;

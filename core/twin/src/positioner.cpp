@@ -66,7 +66,7 @@ void Positioner::power_up(const int turns[FL_AXES]) {
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
     if (faults().deaf) return;
     wake(tick);
-    now_ = tick;
+    group_->now = tick;
     if (!spoils_start(frame)) fl_positioner_receive(&firmware_, &frame);
 }
 
@@ -89,15 +89,9 @@ bool Positioner::spoils_start(const fl_can_frame_t &frame) {
     return true;
 }
 
-// Ticks that left everything as it was: the next ones will, too, under the same duties.
-bool Positioner::changed(const Plant &plant) {
-    bool changed = false;
-    for (int axis = 0; axis < FL_AXES; ++axis) {
-        const Plant::Rotor rotor = plant.rotor(number(axis));
-        changed |= !(rotor == last_rotor_[axis]);
-        last_rotor_[axis] = rotor;
-    }
-    return changed;
+// A tick that left both axes as they were: the next ones will, too, under the same duties.
+bool Positioner::still() const {
+    return group_->lanes->still[lane(FL_ALPHA)] != 0 && group_->lanes->still[lane(FL_BETA)] != 0;
 }
 
 // Between two ticks in which they are told where the arms are, those may have moved on.
@@ -108,7 +102,7 @@ bool Positioner::loads_follow(const Plant &plant) const {
 
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
-    if (changed(plant) || scoped() || !loads_follow(plant)) return;
+    if (!still() || scoped() || !loads_follow(plant)) return;
     group_->awake &= ~(1U << lane());
     asleep_since_ = tick;
 }
@@ -197,7 +191,7 @@ void Positioner::open_phases(void *ctx, int axis) {
 
 bool Positioner::send_frame(void *ctx, const fl_can_frame_t *frame) {
     auto &p = *static_cast<Positioner *>(ctx);
-    if (!p.faults().mute) p.group_->outbox.frames.push_back({{p.now_, *frame}, p.index_});
+    if (!p.faults().mute) p.group_->outbox.frames.push_back({{p.group_->now, *frame}, p.index_});
     return true;
 }
 

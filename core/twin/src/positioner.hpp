@@ -2,7 +2,6 @@
 #pragma once
 
 #include <array>
-#include <limits>
 #include <memory>
 #include <vector>
 
@@ -46,6 +45,7 @@ struct alignas(64) PositionerGroup {
     Plant *plant = nullptr;
     AxisGroup *lanes = nullptr;
     uint32_t awake = 0;                  // a bit for each that is not asleep
+    uint64_t now = 0;                    // tick of the last call into a firmware of them
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
     Outbox outbox;
 };
@@ -73,7 +73,7 @@ class Positioner {
     void receive(const fl_can_frame_t &frame, uint64_t tick);
     // False when the firmware has nothing to do for its axes in this tick.
     bool begin_tick(uint64_t tick) {
-        now_ = tick;
+        group_->now = tick;
         ++group_->ticks_run;
         return fl_positioner_begin_tick(&firmware_);
     }
@@ -86,7 +86,7 @@ class Positioner {
     }
     // Such ticks have passed, the last one before or in `tick`; the hall channels of an axis showed this.
     void count_ticks(uint32_t ticks, uint64_t tick) {
-        now_ = tick;
+        group_->now = tick;
         group_->ticks_run += ticks;
         fl_positioner_skip(&firmware_, ticks);
     }
@@ -97,10 +97,6 @@ class Positioner {
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
-    // Something else pulls at it from now on: the next tick may change it.
-    void stir() {
-        for (Plant::Rotor &rotor : last_rotor_) rotor.theta_rad = std::numeric_limits<double>::quiet_NaN();
-    }
     bool asleep() const { return (group_->awake >> lane() & 1U) == 0; }
     const PositionerGroup &group() const { return *group_; }
 
@@ -154,7 +150,7 @@ class Positioner {
     size_t number(int axis) const { return 2 * size_t{index_} + static_cast<size_t>(axis); } // in the plant
     fl_port_t port();
     void start(uint16_t id);
-    bool changed(const Plant &plant);
+    bool still() const;
     bool loads_follow(const Plant &plant) const;
     ScopeSample sample(const Plant &plant, int axis, uint64_t tick) const;
 
@@ -165,10 +161,8 @@ class Positioner {
     std::unique_ptr<PositionerFaults> faults_; // none: sound
     PositionerGroup *group_ = nullptr;
     Flash storage_;
-    uint64_t now_ = 0; // tick of the call into the firmware
     uint64_t asleep_since_ = 0;
     uint32_t index_ = 0;
-    Plant::Rotor last_rotor_[FL_AXES] = {};
     uint16_t last_hall_[FL_AXES][2] = {};
     std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;
     bool scope_on_[FL_AXES] = {false, false};

@@ -343,10 +343,8 @@ Angles Twin::State::at_rest(size_t i) const {
 // What pulls at the arms of a group turns with them.
 void Twin::State::follow_loads(Rows rows) {
     for (size_t i = rows.begin; i < rows.end; ++i) {
-        Positioner &p = positioners[i];
-        if (!p.loads || !p.loads->turn(at_rest(i))) continue;
-        put_torque(i);
-        p.stir();
+        const Positioner &p = positioners[i];
+        if (p.loads && p.loads->turn(at_rest(i))) put_torque(i);
     }
 }
 

@@ -118,39 +118,52 @@ void drive(AxisGroup &g) {
     }
 }
 
+// A group inside a tick: ways since theta at its start, and the load as it was there. Of lanes in which
+// nothing moves they are not set.
+struct alignas(64) Tick {
+    explicit Tick(AxisGroup &group) : g(group) {}
+    AxisGroup::Lanes turned_rad;                     // of the rotor
+    AxisGroup::Lanes gear_ahead_rad, gear_start_rad; // gear, now and at the start
+    AxisGroup::Lanes closed_rad;                     // gear angle of positive contact at the start
+    AxisGroup::Lanes closed_scale;                   // and its change with the rotor
+    AxisGroup::Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it
+    AxisGroup &g;                                    // last, so that lanes stay aligned
+};
+
 // From angles to ways since the start of the tick. Spring, outside torque and hard stops change by less than
 // 1e-9 of the friction inside it. The gear takes from the rotor its friction and this load, and never gives:
 // not below zero.
-inline void begin_ways(AxisGroup &g, int chunk) {
+inline void begin_ways(Tick &t, int chunk) {
     for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const double gear = g.gear_rad[i], theta = g.theta_rad[i];
-        const double over = larger(gear - g.stop_hi_rad[i], 0.0) + smaller(gear - g.stop_lo_rad[i], 0.0);
-        const double push = g.load_0_Nms[i] + g.load_1_Nms[i] * gear - g.stop_Nms[i] * over;
-        const double friction = static_cast<double>(g.coulomb_gear_Nms[i]);
-        g.resist_up_Nms[i] = static_cast<float>(larger(friction - push, 0.0));
-        g.resist_down_Nms[i] = static_cast<float>(larger(friction + push, 0.0));
-        const double closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
-        g.closed_rad[i] = static_cast<float>(closed - theta);
-        g.closed_scale[i] = static_cast<float>(g.backlash_scale[i]);
-        g.gear_ahead_rad[i] = g.gear_start_rad[i] = static_cast<float>(gear - theta);
-        g.turned_rad[i] = 0.0f;
+        const double gear = t.g.gear_rad[i], theta = t.g.theta_rad[i];
+        const double over = larger(gear - t.g.stop_hi_rad[i], 0.0) + smaller(gear - t.g.stop_lo_rad[i], 0.0);
+        const double push = t.g.load_0_Nms[i] + t.g.load_1_Nms[i] * gear - t.g.stop_Nms[i] * over;
+        const double friction = static_cast<double>(t.g.coulomb_gear_Nms[i]);
+        t.resist_up_Nms[i] = static_cast<float>(larger(friction - push, 0.0));
+        t.resist_down_Nms[i] = static_cast<float>(larger(friction + push, 0.0));
+        const double closed = (theta - t.g.backlash_0_rad[i]) * t.g.backlash_scale[i];
+        t.closed_rad[i] = static_cast<float>(closed - theta);
+        t.closed_scale[i] = static_cast<float>(t.g.backlash_scale[i]);
+        t.gear_ahead_rad[i] = t.gear_start_rad[i] = static_cast<float>(gear - theta);
+        t.turned_rad[i] = 0.0f;
     }
 }
 
 // And back. In contact the gear is where the rotor puts it, to the last bit of a double: rounded ways would
 // open the contact again. An axis at rest now, and where it was, has rested all the time, for the field does
 // not turn in a tick: it is still.
-inline void end_ways(AxisGroup &g, int chunk) {
+inline void end_ways(Tick &t, int chunk) {
     for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const float turned = g.turned_rad[i], from_below = g.closed_rad[i] + turned * g.closed_scale[i];
-        const float pushed = g.gear_ahead_rad[i] > from_below ? g.gear_ahead_rad[i] : from_below;
+        const float turned = t.turned_rad[i], from_below = t.closed_rad[i] + turned * t.closed_scale[i];
+        const float pushed = t.gear_ahead_rad[i] > from_below ? t.gear_ahead_rad[i] : from_below;
         const float gear = pushed < turned ? pushed : turned;
-        const double start = g.theta_rad[i], theta = start + static_cast<double>(turned);
-        const double closed = (theta - g.backlash_0_rad[i]) * g.backlash_scale[i];
-        const double alone = gear == g.gear_start_rad[i] ? g.gear_rad[i] : start + static_cast<double>(gear);
-        g.gear_rad[i] = from_below >= gear ? closed : (turned <= gear ? theta : alone);
-        g.theta_rad[i] = theta;
-        g.still[i] = -(static_cast<int32_t>(turned == 0.0f) & static_cast<int32_t>(g.p_Nms[i] == 0.0f));
+        const double start = t.g.theta_rad[i], theta = start + static_cast<double>(turned);
+        const double closed = (theta - t.g.backlash_0_rad[i]) * t.g.backlash_scale[i];
+        const double alone =
+            gear == t.gear_start_rad[i] ? t.g.gear_rad[i] : start + static_cast<double>(gear);
+        t.g.gear_rad[i] = from_below >= gear ? closed : (turned <= gear ? theta : alone);
+        t.g.theta_rad[i] = theta;
+        t.g.still[i] = -(static_cast<int32_t>(turned == 0.0f) & static_cast<int32_t>(t.g.p_Nms[i] == 0.0f));
     }
 }
 
@@ -174,11 +187,11 @@ inline uint64_t bits_of(ExactMask flags) {
 }
 
 // A bit for each lane whose gear has left its cell.
-inline uint64_t lanes_out_of_cell(const AxisGroup &g, int chunk) {
+inline uint64_t lanes_out_of_cell(const Tick &t, int chunk) {
     uint64_t out = 0;
     for (int i = chunk; i < chunk + chunk_size; i += exact_width) {
-        const Exact gear = load(g.gear_rad + i);
-        out |= bits_of((gear < load(g.cell_lo_rad + i)) | (gear >= load(g.cell_hi_rad + i))) << i;
+        const Exact gear = load(t.g.gear_rad + i);
+        out |= bits_of((gear < load(t.g.cell_lo_rad + i)) | (gear >= load(t.g.cell_hi_rad + i))) << i;
     }
     return out;
 }
@@ -189,17 +202,17 @@ struct Motion {
     V turned, p, gear, sine, cosine;
 };
 
-inline Motion load_motion(const AxisGroup &g, int i) {
-    return {load(g.turned_rad + i), load(g.p_Nms + i), load(g.gear_ahead_rad + i), load(g.sine + i),
-            load(g.cosine + i)};
+inline Motion load_motion(const Tick &t, int i) {
+    return {load(t.turned_rad + i), load(t.g.p_Nms + i), load(t.gear_ahead_rad + i), load(t.g.sine + i),
+            load(t.g.cosine + i)};
 }
 
-inline void store_motion(AxisGroup &g, int i, const Motion &m) {
-    store(g.turned_rad + i, m.turned);
-    store(g.p_Nms + i, m.p);
-    store(g.gear_ahead_rad + i, m.gear);
-    store(g.sine + i, m.sine);
-    store(g.cosine + i, m.cosine);
+inline void store_motion(Tick &t, int i, const Motion &m) {
+    store(t.turned_rad + i, m.turned);
+    store(t.g.p_Nms + i, m.p);
+    store(t.gear_ahead_rad + i, m.gear);
+    store(t.g.sine + i, m.sine);
+    store(t.g.cosine + i, m.cosine);
 }
 
 // The series are cut where, at 600 rad/s and 50 us, they err by 5e-8 a step: the torque feels it in the
@@ -214,11 +227,12 @@ template <class M> inline void drift(M &m, V by) {
 }
 
 // Magnet and coils, and cogging of two and four cycles: cos 2t = 1 - 2 sin^2 t, cos 4t = 1 - 2 sin^2 2t.
-inline V torque_impulse(const AxisGroup &g, int i, V s, V c) {
+inline V torque_impulse(const Tick &t, int i, V s, V c) {
     const V twice = s + s, s2 = twice * c, c2 = 1.0f - twice * s;
-    const V even = load(g.cog_2c_Nms + i) * c2 + load(g.cog_4c_Nms + i);
-    const V odd = load(g.cog_2s_Nms + i) + (load(g.cog_4s_Nms + i) * c2 - load(g.cog_4c_Nms + i) * (s2 + s2));
-    return load(g.drive_sin_Nms + i) * s + load(g.drive_cos_Nms + i) * c - even - odd * s2;
+    const V even = load(t.g.cog_2c_Nms + i) * c2 + load(t.g.cog_4c_Nms + i);
+    const V odd =
+        load(t.g.cog_2s_Nms + i) + (load(t.g.cog_4s_Nms + i) * c2 - load(t.g.cog_4c_Nms + i) * (s2 + s2));
+    return load(t.g.drive_sin_Nms + i) * s + load(t.g.drive_cos_Nms + i) * c - even - odd * s2;
 }
 
 struct Contact {
@@ -227,14 +241,14 @@ struct Contact {
 
 // The gear gives way to the side that closes the gap, and stays where it is otherwise: it cannot be driven
 // back. In contact both sides are the same number, not nearly so.
-inline Contact close_gap(const AxisGroup &g, int i, V turned, V &gear) {
-    const V from_below = load(g.closed_rad + i) + turned * load(g.closed_scale + i);
+inline Contact close_gap(const Tick &t, int i, V turned, V &gear) {
+    const V from_below = load(t.closed_rad + i) + turned * load(t.closed_scale + i);
     gear = smaller(larger(gear, from_below), turned);
     return {from_below >= gear, turned <= gear};
 }
 
-inline V step_per_p(const AxisGroup &g, int i, Mask pushing) {
-    return pushing ? load(g.step_per_p_push + i) : load(g.step_per_p_free + i);
+inline V step_per_p(const Tick &t, int i, Mask pushing) {
+    return pushing ? load(t.g.step_per_p_push + i) : load(t.g.step_per_p_free + i);
 }
 
 // A rotor that slides towards the angle where friction holds it would take for ever. What friction leaves
@@ -243,26 +257,26 @@ constexpr float stick_share = 1e-5f;
 
 // One kick at the middle of a step: contact, set-valued friction, trapezoidal drag. Returns the drift
 // of a whole step with the new momentum. Eq. 3, 4 and 8; docs/twin.md.
-inline V kick(const AxisGroup &g, int i, Motion &m) {
-    const Contact contact = close_gap(g, i, m.turned, m.gear);
-    const V motor = load(g.coulomb_motor_Nms + i);
-    const V up = motor + both(contact.positive, load(g.resist_up_Nms + i));
-    const V down = motor + both(contact.negative, load(g.resist_down_Nms + i));
+inline V kick(const Tick &t, int i, Motion &m) {
+    const Contact contact = close_gap(t, i, m.turned, m.gear);
+    const V motor = load(t.g.coulomb_motor_Nms + i);
+    const V up = motor + both(contact.positive, load(t.resist_up_Nms + i));
+    const V down = motor + both(contact.negative, load(t.resist_down_Nms + i));
 
-    const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
+    const V free = m.p + torque_impulse(t, i, m.sine, m.cosine);
     const Mask pushing = (contact.positive & (free > V{})) | (contact.negative & (free < V{}));
-    const V slowed = free - (pushing ? load(g.drag_push + i) : load(g.drag_free + i)) * m.p;
+    const V slowed = free - (pushing ? load(t.g.drag_push + i) : load(t.g.drag_free + i)) * m.p;
     const V rise = slowed - up, fall = slowed + down, least = motor * stick_share;
     const V moved = both(rise > least, rise) + both(fall < -least, fall);
-    m.p = moved * (pushing ? load(g.drag_push_inverse + i) : load(g.drag_free_inverse + i));
-    return m.p * step_per_p(g, i, pushing);
+    m.p = moved * (pushing ? load(t.g.drag_push_inverse + i) : load(t.g.drag_free_inverse + i));
+    return m.p * step_per_p(t, i, pushing);
 }
 
 // The half drift at the start of a tick needs the mode in which the last one ended.
-inline V drift_now(const AxisGroup &g, int i, const Motion &m) {
+inline V drift_now(const Tick &t, int i, const Motion &m) {
     V gear = m.gear;
-    const Contact contact = close_gap(g, i, m.turned, gear);
-    return m.p * step_per_p(g, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
+    const Contact contact = close_gap(t, i, m.turned, gear);
+    return m.p * step_per_p(t, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
 }
 
 // Lanes of a group that have done their tick, all bits of each.
@@ -270,18 +284,18 @@ struct Done {
     alignas(64) int32_t lane[lane_count];
 };
 
-inline void store_rest(AxisGroup &g, int i, const Done &done, Motion m) {
+inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
     const Mask had = *reinterpret_cast<const Mask *>(done.lane + i);
-    const Motion before = load_motion(g, i);
+    const Motion before = load_motion(t, i);
     m.turned = had ? before.turned : m.turned;
     m.p = had ? before.p : m.p;
     m.gear = had ? before.gear : m.gear;
-    store_motion(g, i, m);
+    store_motion(t, i, m);
 }
 
 // Half drift, kick, half drift; two half drifts between kicks are one. All chunks stay in registers over
 // the substeps, and take turns inside each, so that the processor has independent ones to work on.
-template <int count> inline void move(AxisGroup &g, const int *chunks, int substeps, const Done *done) {
+template <int count> inline void move(Tick &t, const int *chunks, int substeps, const Done *done) {
     constexpr int vectors = chunk_size / width;
     Motion motion[count][vectors];
     const auto each = [&](auto &&what) {
@@ -289,16 +303,16 @@ template <int count> inline void move(AxisGroup &g, const int *chunks, int subst
             for (int v = 0; v < vectors; ++v) what(motion[k][v], chunks[k] + v * width);
     };
     each([&](Motion &m, int i) {
-        m = load_motion(g, i);
-        drift(m, 0.5f * drift_now(g, i, m));
+        m = load_motion(t, i);
+        drift(m, 0.5f * drift_now(t, i, m));
     });
-    for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) { drift(m, kick(g, i, m)); });
+    for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) { drift(m, kick(t, i, m)); });
     each([&](Motion &m, int i) {
-        drift(m, 0.5f * kick(g, i, m));
+        drift(m, 0.5f * kick(t, i, m));
         if (done == nullptr)
-            store_motion(g, i, m);
+            store_motion(t, i, m);
         else
-            store_rest(g, i, *done, m);
+            store_rest(t, i, *done, m);
     });
 }
 
@@ -312,69 +326,69 @@ struct Pushing {
     Mask down; // the sign bit where that is to smaller angles
 };
 
-inline Mask still(const AxisGroup &g, int i) { return *reinterpret_cast<const Mask *>(g.still + i); }
+inline Mask still(const Tick &t, int i) { return *reinterpret_cast<const Mask *>(t.g.still + i); }
 inline V turned_by(V v, Mask sign) { return reinterpret_cast<V>(reinterpret_cast<Mask>(v) ^ sign); }
 
 // Lanes that set out pushing, or are still.
-inline Mask sets_out_pushing(const AxisGroup &g, int i) {
-    const V p = load(g.p_Nms + i);
-    V gear = load(g.gear_ahead_rad + i);
-    const Contact contact = close_gap(g, i, load(g.turned_rad + i), gear);
-    return (contact.positive & (p > V{})) | (contact.negative & (p < V{})) | still(g, i);
+inline Mask sets_out_pushing(const Tick &t, int i) {
+    const V p = load(t.g.p_Nms + i);
+    V gear = load(t.gear_ahead_rad + i);
+    const Contact contact = close_gap(t, i, load(t.turned_rad + i), gear);
+    return (contact.positive & (p > V{})) | (contact.negative & (p < V{})) | still(t, i);
 }
 
 // What a step of a rotor that pushes needs beside impulses. `coarse`: of the longer steps; the momentum is
 // then told in steps, too, by the share `per_step` of its own, so that every impulse stays as it is.
-template <bool coarse> inline V drag_of(const AxisGroup &g, int i) {
-    return load((coarse ? g.drag_coarse : g.drag_push) + i);
+template <bool coarse> inline V drag_of(const Tick &t, int i) {
+    return load((coarse ? t.g.drag_coarse : t.g.drag_push) + i);
 }
-template <bool coarse> inline V drag_inverse_of(const AxisGroup &g, int i) {
-    return load((coarse ? g.drag_coarse_inverse : g.drag_push_inverse) + i);
+template <bool coarse> inline V drag_inverse_of(const Tick &t, int i) {
+    return load((coarse ? t.g.drag_coarse_inverse : t.g.drag_push_inverse) + i);
 }
-template <bool coarse> inline V way_per_p(const AxisGroup &g, int i) {
-    return load((coarse ? g.step_per_p_coarse : g.step_per_p_push) + i);
+template <bool coarse> inline V way_per_p(const Tick &t, int i) {
+    return load((coarse ? t.g.step_per_p_coarse : t.g.step_per_p_push) + i);
 }
 
-inline Pushing load_pushing(const AxisGroup &g, int i, float per_step) {
-    const V p = load(g.p_Nms + i) * per_step, motor = load(g.coulomb_motor_Nms + i);
-    const V up = motor + load(g.resist_up_Nms + i), down = motor + load(g.resist_down_Nms + i);
+inline Pushing load_pushing(const Tick &t, int i, float per_step) {
+    const V p = load(t.g.p_Nms + i) * per_step, motor = load(t.g.coulomb_motor_Nms + i);
+    const V up = motor + load(t.resist_up_Nms + i), down = motor + load(t.resist_down_Nms + i);
     const Mask falls = p < V{};
-    return {load(g.turned_rad + i), p,         load(g.sine + i), load(g.cosine + i),
+    return {load(t.turned_rad + i), p,         load(t.g.sine + i), load(t.g.cosine + i),
             falls ? -down : up,     up + down, falls << 31};
 }
 
 // kick() where the rotor pushes.
-template <bool coarse> inline V push(const AxisGroup &g, int i, Pushing &m) {
-    const V free = m.p + torque_impulse(g, i, m.sine, m.cosine);
-    const V moved = free - drag_of<coarse>(g, i) * m.p - m.resist;
+template <bool coarse> inline V push(const Tick &t, int i, Pushing &m) {
+    const V free = m.p + torque_impulse(t, i, m.sine, m.cosine);
+    const V moved = free - drag_of<coarse>(t, i) * m.p - m.resist;
     m.slowest = smaller(m.slowest, turned_by(moved, m.down));
-    m.p = moved * drag_inverse_of<coarse>(g, i);
-    return m.p * way_per_p<coarse>(g, i);
+    m.p = moved * drag_inverse_of<coarse>(t, i);
+    return m.p * way_per_p<coarse>(t, i);
 }
 
 // Lanes that have pushed all the time, or are still.
-inline Mask kept_pushing(const AxisGroup &g, int i, const Pushing &m) {
-    return (m.slowest > load(g.coulomb_motor_Nms + i) * stick_share) | still(g, i);
+inline Mask kept_pushing(const Tick &t, int i, const Pushing &m) {
+    return (m.slowest > load(t.g.coulomb_motor_Nms + i) * stick_share) | still(t, i);
 }
 
 // turned: at the last kick, which sets the gear.
-inline void store_pushing(AxisGroup &g, int i, const Pushing &m, V turned) {
-    const Mask moves = ~still(g, i);
-    V gear = load(g.gear_ahead_rad + i);
-    close_gap(g, i, both(moves, turned), gear);
-    store(g.gear_ahead_rad + i, gear);
-    store(g.turned_rad + i, both(moves, m.turned));
-    store(g.p_Nms + i, both(moves, m.p));
+inline void store_pushing(Tick &t, int i, const Pushing &m, V turned) {
+    const Mask moves = ~still(t, i);
+    V gear = load(t.gear_ahead_rad + i);
+    close_gap(t, i, both(moves, turned), gear);
+    store(t.gear_ahead_rad + i, gear);
+    store(t.turned_rad + i, both(moves, m.turned));
+    store(t.g.p_Nms + i, both(moves, m.p));
 }
 
 // The same for some of the lanes; the others stay as they are.
-inline void store_lanes(AxisGroup &g, int i, Mask lanes, const Pushing &m, V turned, float steps) {
-    const V before = load(g.gear_ahead_rad + i);
+inline void store_lanes(Tick &t, int i, Mask lanes, const Pushing &m, V turned, float steps) {
+    const V before = load(t.gear_ahead_rad + i);
     V gear = before;
-    close_gap(g, i, turned, gear);
-    store(g.gear_ahead_rad + i, lanes ? gear : before);
-    store(g.turned_rad + i, lanes ? m.turned : load(g.turned_rad + i));
-    store(g.p_Nms + i, lanes ? m.p * steps : load(g.p_Nms + i));
+    close_gap(t, i, turned, gear);
+    store(t.gear_ahead_rad + i, lanes ? gear : before);
+    store(t.turned_rad + i, lanes ? m.turned : load(t.turned_rad + i));
+    store(t.g.p_Nms + i, lanes ? m.p * steps : load(t.g.p_Nms + i));
 }
 
 inline bool all(Mask flags) {
@@ -411,36 +425,35 @@ template <int count> struct Push {
 };
 
 template <int count, bool coarse>
-inline void push_through(const AxisGroup &g, const int *chunks, int substeps, float per_step,
-                         Push<count> &p) {
+inline void push_through(const Tick &t, const int *chunks, int substeps, float per_step, Push<count> &p) {
     const auto each = [&](auto &&what) {
         for (int k = 0; k < count; ++k)
             for (int v = 0; v < Push<count>::vectors; ++v)
                 what(p.motion[k][v], chunks[k] + v * width, p.turned[k][v]);
     };
     each([&](Pushing &m, int i, V &) {
-        m = load_pushing(g, i, per_step);
-        drift(m, 0.5f * (m.p * way_per_p<coarse>(g, i)));
+        m = load_pushing(t, i, per_step);
+        drift(m, 0.5f * (m.p * way_per_p<coarse>(t, i)));
     });
-    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push<coarse>(g, i, m)); });
+    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push<coarse>(t, i, m)); });
     each([&](Pushing &m, int i, V &at_kick) {
         at_kick = m.turned;
-        drift(m, 0.5f * push<coarse>(g, i, m));
+        drift(m, 0.5f * push<coarse>(t, i, m));
     });
 }
 
 // As move(), to the bit. Chunks in which a rotor has come to rest or turned back stay as they were: `others`
 // gets them.
-template <int count> inline void move_pushing(AxisGroup &g, const int *chunks, int substeps, Chunks &others) {
+template <int count> inline void move_pushing(Tick &t, const int *chunks, int substeps, Chunks &others) {
     Push<count> p;
-    push_through<count, false>(g, chunks, substeps, 1.0f, p);
+    push_through<count, false>(t, chunks, substeps, 1.0f, p);
     for (int k = 0; k < count; ++k) {
         const int chunk = chunks[k];
-        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(g, i, p.motion[k][v]); }))
+        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(t, i, p.motion[k][v]); }))
             others.add(chunk);
         else
             for (int v = 0; v < Push<count>::vectors; ++v)
-                store_pushing(g, chunk + v * width, p.motion[k][v], p.turned[k][v]);
+                store_pushing(t, chunk + v * width, p.motion[k][v], p.turned[k][v]);
     }
 }
 
@@ -450,17 +463,17 @@ template <int count> inline void move_pushing(AxisGroup &g, const int *chunks, i
 // the whole tick takes fewer steps. Any other takes all of them, beside it: what an axis does is its own.
 // `others` gets the chunks with such axes, `done` says which lanes have been moved here.
 template <int count>
-inline void move_coarsely(AxisGroup &g, const int *chunks, Substeps substeps, Chunks &others, Done &done) {
+inline void move_coarsely(Tick &t, const int *chunks, Substeps substeps, Chunks &others, Done &done) {
     Push<count> p;
     const float per_step = static_cast<float>(substeps.pushing) / static_cast<float>(substeps.all);
     const float steps = static_cast<float>(substeps.all) / static_cast<float>(substeps.pushing);
-    push_through<count, true>(g, chunks, substeps.pushing, per_step, p);
+    push_through<count, true>(t, chunks, substeps.pushing, per_step, p);
     for (int k = 0; k < count; ++k) {
         const int chunk = chunks[k];
         const auto keep = [&](int i, int v) {
-            const Mask lanes = sets_out_pushing(g, i) & kept_pushing(g, i, p.motion[k][v]) & ~still(g, i);
+            const Mask lanes = sets_out_pushing(t, i) & kept_pushing(t, i, p.motion[k][v]) & ~still(t, i);
             *reinterpret_cast<Mask *>(done.lane + i) = lanes;
-            return lanes | still(g, i);
+            return lanes | still(t, i);
         };
         Mask every = keep(chunk, 0);
         for (int v = 1; v < Push<count>::vectors; ++v) every &= keep(chunk + v * width, v);
@@ -468,7 +481,7 @@ inline void move_coarsely(AxisGroup &g, const int *chunks, Substeps substeps, Ch
         for (int v = 0; v < Push<count>::vectors; ++v) {
             const int i = chunk + v * width;
             const Mask lanes = *reinterpret_cast<const Mask *>(done.lane + i);
-            store_lanes(g, i, lanes, p.motion[k][v], p.turned[k][v], steps);
+            store_lanes(t, i, lanes, p.motion[k][v], p.turned[k][v], steps);
         }
     }
 }
@@ -491,62 +504,62 @@ void bells(const uint64_t *__restrict counter, double *__restrict bell, int coun
 
 // -- a tick -------------------------------------------------------------------------------------
 
-template <int most> inline void move_all(AxisGroup &g, const Chunks &chunks, int substeps, const Done *done) {
-    if (chunks.count == most) return move<most>(g, chunks.at, substeps, done);
-    if constexpr (most > 1) move_all<most - 1>(g, chunks, substeps, done);
+template <int most> inline void move_all(Tick &t, const Chunks &chunks, int substeps, const Done *done) {
+    if (chunks.count == most) return move<most>(t, chunks.at, substeps, done);
+    if constexpr (most > 1) move_all<most - 1>(t, chunks, substeps, done);
 }
 
-template <int most> inline void push_all(AxisGroup &g, const Chunks &chunks, int substeps, Chunks &others) {
-    if (chunks.count == most) return move_pushing<most>(g, chunks.at, substeps, others);
-    if constexpr (most > 1) push_all<most - 1>(g, chunks, substeps, others);
+template <int most> inline void push_all(Tick &t, const Chunks &chunks, int substeps, Chunks &others) {
+    if (chunks.count == most) return move_pushing<most>(t, chunks.at, substeps, others);
+    if constexpr (most > 1) push_all<most - 1>(t, chunks, substeps, others);
 }
 
 template <int most>
-inline void push_all_coarsely(AxisGroup &g, const Chunks &chunks, Substeps substeps, Chunks &others,
-                              Done &done) {
-    if (chunks.count == most) return move_coarsely<most>(g, chunks.at, substeps, others, done);
-    if constexpr (most > 1) push_all_coarsely<most - 1>(g, chunks, substeps, others, done);
+inline void push_all_coarsely(Tick &t, const Chunks &chunks, Substeps substeps, Chunks &others, Done &done) {
+    if (chunks.count == most) return move_coarsely<most>(t, chunks.at, substeps, others, done);
+    if constexpr (most > 1) push_all_coarsely<most - 1>(t, chunks, substeps, others, done);
 }
 
 constexpr int most_chunks = lane_count / chunk_size;
 
 // Every axis in the same steps.
-inline void move_alike(AxisGroup &g, const Chunks &moving, int substeps) {
+inline void move_alike(Tick &t, const Chunks &moving, int substeps) {
     Chunks pushing, others;
     for (int k = 0; k < moving.count; ++k) {
         const int c = moving.at[k];
-        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(g, i); }) ? pushing : others).add(c);
+        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(t, i); }) ? pushing : others).add(c);
     }
-    push_all<most_chunks>(g, pushing, substeps, others);
-    move_all<most_chunks>(g, others, substeps, nullptr);
+    push_all<most_chunks>(t, pushing, substeps, others);
+    move_all<most_chunks>(t, others, substeps, nullptr);
 }
 
 // Each axis in its own.
-inline void move_each(AxisGroup &g, const Chunks &moving, Substeps substeps) {
+inline void move_each(Tick &t, const Chunks &moving, Substeps substeps) {
     Chunks pushing, others;
     Done done = {};
     for (int k = 0; k < moving.count; ++k) {
         const int c = moving.at[k];
-        const auto idle = [&](int i, int) { return ~sets_out_pushing(g, i) | still(g, i); };
+        const auto idle = [&](int i, int) { return ~sets_out_pushing(t, i) | still(t, i); };
         (all_of_chunk(c, idle) ? others : pushing).add(c);
     }
-    push_all_coarsely<most_chunks>(g, pushing, substeps, others, done);
-    move_all<most_chunks>(g, others, substeps.all, &done);
+    push_all_coarsely<most_chunks>(t, pushing, substeps, others, done);
+    move_all<most_chunks>(t, others, substeps.all, &done);
 }
 
 TickEvents step(AxisGroup &g, Substeps substeps) {
+    Tick t(g);
     Chunks moving;
     for (int c = 0; c < lane_count; c += chunk_size)
-        if (!all_of_chunk(c, [&](int i, int) { return still(g, i); })) moving.add(c);
-    for (int k = 0; k < moving.count; ++k) begin_ways(g, moving.at[k]);
+        if (!all_of_chunk(c, [&](int i, int) { return still(t, i); })) moving.add(c);
+    for (int k = 0; k < moving.count; ++k) begin_ways(t, moving.at[k]);
     if (substeps.pushing == substeps.all)
-        move_alike(g, moving, substeps.all);
+        move_alike(t, moving, substeps.all);
     else
-        move_each(g, moving, substeps);
+        move_each(t, moving, substeps);
     TickEvents events;
     for (int k = 0; k < moving.count; ++k) {
-        end_ways(g, moving.at[k]);
-        events.left_cell |= lanes_out_of_cell(g, moving.at[k]);
+        end_ways(t, moving.at[k]);
+        events.left_cell |= lanes_out_of_cell(t, moving.at[k]);
     }
     return events;
 }

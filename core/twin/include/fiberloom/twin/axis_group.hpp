@@ -1,5 +1,5 @@
 // Sixty-four axes (32 positioners, first all alpha, then all beta) side by side: what one tick of the plant
-// touches, about 15 KB, so a group stays in the first-level cache while it is stepped. Four vectors of a
+// touches, about 13 KB, so a group stays in the first-level cache while it is stepped. Four vectors of a
 // substep are under way at once; with two the processor waits for results half of the time.
 //
 // Angles are kept in double: 1024 turns of the motor leave single precision a hundredth of a degree. What
@@ -40,13 +40,7 @@ struct alignas(64) AxisGroup {
     Exact load_0_Nms, load_1_Nms;
     Exact stop_lo_rad, stop_hi_rad, stop_Nms;
 
-    // inside a tick: ways since theta at its start, and the load as it was there
-    Lanes turned_rad;                     // of the rotor
-    Lanes gear_ahead_rad, gear_start_rad; // gear, now and at the start
-    Lanes closed_rad;                     // gear angle of positive contact at the start
-    Lanes closed_scale;                   // and its change with the rotor
-    Lanes sine, cosine;                   // of theta, exact at the start of a tick, turned along inside it
-    Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it
+    Lanes sine, cosine; // of theta, at the start of a tick
 
     // drive: impulse = drive_sin sin(theta) + drive_cos cos(theta)
     Lanes drive_sin_Nms, drive_cos_Nms;

@@ -106,7 +106,7 @@ class Neighbours {
         return levers_mm_[i].alpha * alpha_rad + levers_mm_[i].beta * beta_rad;
     }
     // The farthest that it can come from one sync point to the next.
-    double farthest_mm(size_t i) const { return speed_mm_s_[i] * static_cast<double>(sync_ticks) * tick_s; }
+    double farthest_mm(size_t i) const { return most_mm_[i] * static_cast<double>(sync_ticks); }
 
     // Memory of all positioners together.
     size_t bytes() const;
@@ -162,7 +162,6 @@ class Neighbours {
         Segment line;
         double apart_mm;  // centre lines nearer than this touch
         double spring_mm; // how far it springs back when let go
-        double speed_mm_s;
         const Pose *pose; // of an arm
     };
     struct Place { // of a contact: its number as in Contact, and the share of a Newton step it takes
@@ -188,7 +187,7 @@ class Neighbours {
         double rad_per_Nm[2];
     };
     std::vector<Compliance> compliances_; // of the arms
-    std::vector<double> speed_mm_s_;      // at which a point of an arm moves at most
+    std::vector<double> most_mm_;         // that a point of an arm moves in a tick
     std::vector<Near> near_;              // of all, one after the other
     std::vector<uint32_t> first_near_;    // of each, and one more
     std::vector<Levers> levers_mm_;

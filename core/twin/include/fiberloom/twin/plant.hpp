@@ -87,16 +87,6 @@ class Plant {
     double param(size_t axis, double PlantParams::*name) const {
         return axes_[axis].params.field(first_params_[axis % 2], name);
     }
-    // What tells whether a tick has changed anything.
-    struct Rotor {
-        double theta_rad = 0.0, momentum_Nms = 0.0, gear_rad = 0.0;
-        bool operator==(const Rotor &) const = default;
-    };
-    // Of one axis, now.
-    Rotor rotor(size_t axis) const {
-        return {lane(axis, &AxisGroup::theta_rad), lane(axis, &AxisGroup::p_Nms),
-                lane(axis, &AxisGroup::gear_rad)};
-    }
     // Motor angle, rad.
     double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
     // Motor angle at which the arm touches its lower hard stop.
