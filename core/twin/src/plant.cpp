@@ -151,12 +151,12 @@ void Plant::fetch(size_t axis) const {
     for (size_t at = 0; at < offsetof(Axis, params); at += line) __builtin_prefetch(begin + at, 1);
 }
 
-// Next to the end of a quad the amplitudes of the gear will soon be asked for: a node later, at least.
+// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
     const Axis &a = axes_[axis];
-    const int32_t at = a.cell.index & (quad_nodes - 1);
-    if (at != 0 && at != quad_nodes - 3) return;
+    const int32_t at = a.cell.index & (block_nodes - 1);
+    if (at != 0 && at != block_nodes - 3) return;
     const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
     const size_t bytes = a.gear.wave_count * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
@@ -242,7 +242,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
     axes_[axis].params = {first_params_[axis % 2], params};
-    axes_[axis].quad = {};
+    axes_[axis].block = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
 }
@@ -254,7 +254,7 @@ void Plant::set_transmission(size_t axis, const Transmission &transmission) {
     const bool positive = lane(axis, &AxisGroup::theta_rad) > gear_rad + 0.5 * backlash_rad(axis);
     axes_[axis].gear = Gear(transmission);
     set(axis, &AxisGroup::still, 0);
-    axes_[axis].quad = {};
+    axes_[axis].block = {};
     axes_[axis].cell =
         transmission_cell(axes_[axis].gear, param(axis, &PlantParams::gear_ratio), axes_[axis].cell.index);
     seek_cell(axis, gear_rad);
@@ -377,7 +377,7 @@ void Plant::load_cell(size_t axis) {
 // From where it was.
 void Plant::seek_cell(size_t axis, double gear_rad) {
     Axis &a = axes_[axis];
-    seek_gear(a.gear, param(axis, &PlantParams::gear_ratio), gear_rad, a.cell, a.quad);
+    seek_gear(a.gear, param(axis, &PlantParams::gear_ratio), gear_rad, a.cell, a.block);
     load_cell(axis);
 }
 

@@ -39,13 +39,15 @@ const Circle circle;
 // Four numbers at once; named, not in loops over memory, so that sums stay in registers.
 typedef double Quad __attribute__((vector_size(32)));
 typedef int64_t Places __attribute__((vector_size(32)));
-static_assert(sizeof(Quad) == quad_nodes * sizeof(double));
 static_assert(sizeof(Quad) == sizeof(Gear::Wave));
-constexpr size_t block_quads = block_nodes / quad_nodes;
+constexpr int32_t quad_nodes = sizeof(Quad) / sizeof(double), block_quads = block_nodes / quad_nodes;
+static_assert(block_quads == 2);
 
-// Sums of both series at four nodes: delta in output rad, backlash in motor rad without its mean.
+// Sums of both series at the nodes of a block: delta in output rad, backlash in motor rad without its mean.
 struct Sums {
-    Quad delta_rad = {}, backlash_rad = {};
+    Quad delta_rad[block_quads], backlash_rad[block_quads];
+    double delta_rad_at(int32_t k) const { return delta_rad[k / quad_nodes][k % quad_nodes]; }
+    double backlash_rad_at(int32_t k) const { return backlash_rad[k / quad_nodes][k % quad_nodes]; }
 };
 
 // Every order at the nodes of a block, counted from its first.
@@ -55,16 +57,15 @@ struct Within {
         for (size_t i = 0; i < harmonic_count; ++i)
             for (int32_t k = 0; k < block_nodes; ++k) {
                 const Harmonic wave = on_circle(harmonic_orders[i] * k);
-                cos[i][k / 4][k % 4] = wave.cos;
-                sin[i][k / 4][k % 4] = wave.sin;
+                cos[i][k / quad_nodes][k % quad_nodes] = wave.cos;
+                sin[i][k / quad_nodes][k % quad_nodes] = wave.sin;
             }
     }
 };
 const Within within;
 
-// Of quad `k` of a block.
-FL_CLONES void series(const Gear &gear, int32_t block, size_t k, Sums &out) {
-    Sums sums;
+FL_CLONES void series(const Gear &gear, int32_t block, Sums &out) {
+    Quad delta_0 = {}, delta_1 = {}, backlash_0 = {}, backlash_1 = {};
     const Gear::Wave *wave = gear.waves.get();
     for (uint32_t left = gear.orders; left != 0; left &= left - 1, ++wave) {
         const auto i = static_cast<size_t>(__builtin_ctz(left));
@@ -74,11 +75,13 @@ FL_CLONES void series(const Gear &gear, int32_t block, size_t k, Sums &out) {
         Quad own;
         std::memcpy(&own, wave, sizeof own);
         const Quad seen = own * at_cos + __builtin_shuffle(own, Places{1, 0, 3, 2}) * at_sin;
-        const Quad &cos = within.cos[i][k], &sin = within.sin[i][k];
-        sums.delta_rad += seen[0] * cos + seen[1] * sin;
-        sums.backlash_rad += seen[2] * cos + seen[3] * sin;
+        const Quad(&cos)[block_quads] = within.cos[i], (&sin)[block_quads] = within.sin[i];
+        delta_0 += seen[0] * cos[0] + seen[1] * sin[0];
+        delta_1 += seen[0] * cos[1] + seen[1] * sin[1];
+        backlash_0 += seen[2] * cos[0] + seen[3] * sin[0];
+        backlash_1 += seen[2] * cos[1] + seen[3] * sin[1];
     }
-    out = sums;
+    out = {{delta_0, delta_1}, {backlash_0, backlash_1}};
 }
 
 double wear_at(const WearMarks &marks, double theta_rad) {
@@ -124,38 +127,37 @@ Gear::Gear(const Transmission &t)
     }
 }
 
-void NodeQuad::load(const Gear &gear, double gear_ratio, int32_t quad) {
-    const int32_t first = quad * quad_nodes, in_block = first & (block_nodes - 1);
+void NodeBlock::load(const Gear &gear, double gear_ratio, int32_t block) {
     Sums sums;
-    series(gear, (first - in_block) / block_nodes, static_cast<size_t>(in_block / quad_nodes), sums);
-    for (int32_t k = 0; k < quad_nodes; ++k) {
-        const double theta = node_step_rad * (first + k);
-        const double delta = sums.delta_rad[k] + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
+    series(gear, block, sums);
+    for (int32_t k = 0; k < block_nodes; ++k) {
+        const double theta = node_step_rad * (block * block_nodes + k);
+        const double delta = sums.delta_rad_at(k) + (gear.wear ? wear_at(*gear.wear, theta) : 0.0);
         nodes[static_cast<size_t>(k)] = {gear_ratio * (theta + delta),
-                                         gear.backlash_mean_rad + sums.backlash_rad[k]};
+                                         gear.backlash_mean_rad + sums.backlash_rad_at(k)};
     }
-    number = quad;
+    number = block;
 }
 
 Node transmission_node(const Gear &gear, double gear_ratio, int32_t index) {
-    NodeQuad quad;
-    return quad.at(gear, gear_ratio, index);
+    NodeBlock block;
+    return block.at(gear, gear_ratio, index);
 }
 
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index) {
-    NodeQuad quad;
-    const Node lo = quad.at(gear, gear_ratio, index);
-    return {index, lo, quad.at(gear, gear_ratio, index + 1)};
+    NodeBlock block;
+    const Node lo = block.at(gear, gear_ratio, index);
+    return {index, lo, block.at(gear, gear_ratio, index + 1)};
 }
 
-void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeQuad &quad) {
+void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeBlock &block) {
     while (gear_rad >= cell.hi.gear_rad) {
         cell.lo = cell.hi;
-        cell.hi = quad.at(gear, gear_ratio, ++cell.index + 1);
+        cell.hi = block.at(gear, gear_ratio, ++cell.index + 1);
     }
     while (gear_rad < cell.lo.gear_rad) {
         cell.hi = cell.lo;
-        cell.lo = quad.at(gear, gear_ratio, --cell.index);
+        cell.lo = block.at(gear, gear_ratio, --cell.index);
     }
 }
 
@@ -177,10 +179,10 @@ const char *transmission_fault(const Transmission &t, double gear_ratio) {
     const int32_t first = is_worn(t) ? -2 * nodes_per_turn : 0;
     const int32_t last = is_worn(t) ? 2 * nodes_per_turn : nodes_per_turn;
     const Gear gear(t);
-    NodeQuad quad;
-    Node lo = quad.at(gear, gear_ratio, first);
+    NodeBlock block;
+    Node lo = block.at(gear, gear_ratio, first);
     for (int32_t i = first + 1; i <= last; ++i) {
-        const Node hi = quad.at(gear, gear_ratio, i);
+        const Node hi = block.at(gear, gear_ratio, i);
         if (hi.backlash_rad < 0.0) return "backlash is negative somewhere";
         if (!(hi.gear_rad > lo.gear_rad)) return "delta falls faster than the angle rises";
         if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))

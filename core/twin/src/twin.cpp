@@ -17,7 +17,6 @@ namespace {
 
 constexpr uint64_t lone_ticks = 32;   // of a slice where nothing meets: what a group needs stays in the cache
 constexpr uint64_t bounce_ticks = 80; // what comes back within 40 ms is the same contact
-constexpr size_t id_count = 2048;     // of a bus: 11 bits
 constexpr uint16_t no_index = UINT16_MAX;
 constexpr double two_pi = 2.0 * std::numbers::pi;
 constexpr double counts_per_turn = 1073741824.0; // 2^30 per output turn on the wire
@@ -35,6 +34,10 @@ void check_sizes(const TwinSetup &s) {
     if (s.threads < 1 || s.threads > 256) throw std::invalid_argument("threads: 1 to 256");
     for (uint16_t id : s.ids)
         if (id < 1 || id > 2047) throw std::invalid_argument("positioner ids: 1 to 2047");
+}
+
+size_t id_count(const TwinSetup &s) {
+    return s.ids.empty() ? 0 : size_t{*std::max_element(s.ids.begin(), s.ids.end())} + 1;
 }
 
 FactoryParams::Both params_of_first(const TwinSetup &s) {
@@ -117,7 +120,7 @@ struct Twin::State {
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
     std::vector<LaneGroup> lane_groups;        // one per group of the plant
     std::vector<PositionerGroup> groups;       // and what its positioners have in common
-    std::vector<uint16_t> index_of_id;         // or no_index
+    std::vector<uint16_t> index_of_id;         // up to the largest; or no_index
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
@@ -144,7 +147,7 @@ Twin::State::State(const TwinSetup &s)
     : plant((check_sizes(s), s.units), flat(s.start), s.seed, s.kernel.c_str(), s.substeps),
       count(s.ids.size()), first_params(params_of_first(s)),
       positioners(std::make_unique<Positioner[]>(count)), lane_groups(plant.group_count()),
-      groups(plant.group_count()), index_of_id(id_count, no_index),
+      groups(plant.group_count()), index_of_id(id_count(s), no_index),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
       skip_resting(s.skip_resting), felt(s.ids.size()), pushed(s.ids.size()), scoped(plant.group_count()),
       close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()), posed(plant.group_count()),
@@ -432,8 +435,8 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
             if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
             s_->hear(i, frame, bus);
         }
-    } else if (const uint16_t index = s_->index_of_id[id]; index != no_index) {
-        s_->hear(index, frame, bus);
+    } else if (id < s_->index_of_id.size() && s_->index_of_id[id] != no_index) {
+        s_->hear(s_->index_of_id[id], frame, bus);
     }
 }
 

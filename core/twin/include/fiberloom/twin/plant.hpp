@@ -152,7 +152,7 @@ class Plant {
     struct Axis {
         // what a new cell asks for comes first, and most of the rest only with new nodes
         Cell cell;
-        NodeQuad quad;
+        NodeBlock block;
         Seat seat;
         Gear gear;
         Differing<PlantParams> params;  // from those of the first axis of its kind

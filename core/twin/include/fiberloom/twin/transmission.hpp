@@ -99,33 +99,32 @@ struct Cell {
 };
 
 inline constexpr int32_t block_nodes = 8; // a turn has a whole number of blocks
-inline constexpr int32_t quad_nodes = 4;  // half of one
 
 // Nodes that follow each other, found together: an axis that goes along needs them in turn. The block in
 // which they lie decides how their sums are rounded, so that a node is the same whatever was asked for
 // before.
-struct NodeQuad {
-    int32_t number = INT32_MIN; // its first node is number * quad_nodes
-    std::array<Node, quad_nodes> nodes;
+struct NodeBlock {
+    int32_t number = INT32_MIN; // its first node is number * block_nodes
+    std::array<Node, block_nodes> nodes;
 
-    // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One quad is for one gear.
+    // Node `index`, which lies at the output angle index 2 pi / nodes_per_turn. One block is for one gear.
     const Node &at(const Gear &gear, double gear_ratio, int32_t index) {
-        if (index >> quad_shift != number) load(gear, gear_ratio, index >> quad_shift);
-        return nodes[static_cast<size_t>(index & (quad_nodes - 1))];
+        if (index >> block_shift != number) load(gear, gear_ratio, index >> block_shift);
+        return nodes[static_cast<size_t>(index & (block_nodes - 1))];
     }
 
   private:
-    static constexpr int quad_shift = 2;
-    static_assert(1 << quad_shift == quad_nodes);
-    void load(const Gear &gear, double gear_ratio, int32_t quad);
+    static constexpr int block_shift = 3;
+    static_assert(1 << block_shift == block_nodes);
+    void load(const Gear &gear, double gear_ratio, int32_t block);
 };
 
 // One node, and the cell from it to the next.
 Node transmission_node(const Gear &gear, double gear_ratio, int32_t index);
 Cell transmission_cell(const Gear &gear, double gear_ratio, int32_t index);
 
-// Moves a cell of a gear to where it holds a gear angle. `quad` is of the same gear.
-void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeQuad &quad);
+// Moves a cell of a gear to where it holds a gear angle. `block` is of the same gear.
+void seek_gear(const Gear &gear, double gear_ratio, double gear_rad, Cell &cell, NodeBlock &block);
 // The cell that holds an output angle.
 Cell cell_of_output(const Gear &gear, double gear_ratio, double output_rad);
 
