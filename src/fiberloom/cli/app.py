@@ -191,7 +191,7 @@ def _root(
 
 BELOW, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
-_YOUNG = 30_000
+_YOUNG = 100_000
 """New objects before the interpreter looks for cycles among them; 700 by default, which the replies of 500
 positioners are at every poll.
 """

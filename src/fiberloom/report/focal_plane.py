@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.ticker import NullFormatter
 
 from fiberloom.instruments import FocalPlane
 from fiberloom.report.figures import figure_with, save
@@ -109,7 +110,11 @@ def plot_errors(
         share = 100.0 * np.arange(1, len(values) + 1) / len(values)
         axes.step(values, share, where="post", label=f"{label}: {_rms(values):.2f} µm rms")
     axes.axvline(requirement_um, color="crimson", linestyle="--", label=f"requirement {requirement_um:g} µm")
-    axes.set(xscale="log", xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
+    axes.set_xscale("log")
+    # as 0.1, 1, 10: powers of ten want the parser of formulas, which takes as long as the rest of the figure
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set(xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
     axes.set_title(title, fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(loc="lower right", fontsize=8)
