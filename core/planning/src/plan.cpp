@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <optional>
 #include <utility>
 
@@ -15,6 +16,9 @@ namespace {
 constexpr int give_up_rounds = 40;
 constexpr int refining_rounds = 4;   // the first ones, in which knots get finer grids
 constexpr double effort_again = 0.4; // of the first round: what resists that seldom comes undone
+// So often the knot of a pair that resists begins anew in vain, in each round: once with what is kept in
+// hand, which may be all that bars its way. In those with finer grids it takes long and was of no use.
+constexpr int begins_anew[] = {1, 3};
 
 LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
     return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
@@ -149,7 +153,8 @@ bool Planner::find_paths() {
     const int wanted = paths.steps();
     const int last = static_cast<int>(settings_.last_deadline * wanted) + 20;
     take_over(paths);
-    Repair repair(paths, settings_, statistics_, round_ == 0 ? 1.0 : effort_again);
+    Repair repair(paths, settings_, statistics_, round_ == 0 ? 1.0 : effort_again,
+                  round_ < static_cast<int>(std::size(begins_anew)) ? begins_anew[round_] : 0);
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {

@@ -97,6 +97,28 @@ def test_those_that_are_far_behind_start_again(seed, buffer_mm, most):
     assert made.duration_s < most * bound_s(array.plane, *ends_deg)
 
 
+# Before knots began anew: 1.382, 1.929, 1.441, 2.111, 1.914 and 1.771. At 3.0 mm 52 was late, and in 398 two
+# conflicted after all repairs of the first round.
+@pytest.mark.parametrize(
+    ("seed", "buffer_mm", "refused", "most"),
+    [
+        (584, 2.0, set(), 1.3),
+        (747, 2.5, {204}, 1.4),
+        (953, 2.5, set(), 1.4),
+        (52, 3.0, set(), 1.5),
+        (398, 3.0, set(), 1.5),
+        (126, 3.0, set(), 1.5),
+    ],
+)
+def test_knots_that_begin_anew(seed, buffer_mm, refused, most):
+    array = array_at(buffer_mm)
+    ends_deg = array.ends_of(seed)
+    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
+    assert set(made.refused) == refused
+    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
+    assert made.duration_s < most * bound_s(array.plane, *ends_deg, refused=refused)
+
+
 # On grids that were finer everywhere: 2.206, 1.874, 1.612 and 1.593. Alone 1131 and 1058 took as long.
 @pytest.mark.parametrize(("seed", "around"), [(991, 1131), (697, 1058), (49, 1131), (46, 1058)])
 def test_a_grid_is_finer_only_where_the_way_is_narrow(seed, around):

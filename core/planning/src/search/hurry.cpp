@@ -20,6 +20,10 @@ constexpr int least_around = 2, most_around = 6; // of the neighbours near by, t
 constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 3000000,
                        most_work_of_a_plan = 8000000;
 constexpr int usual_robots = 500;
+// Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
+// each step that it is too late, up to a most.
+constexpr int knots_at_once = 4;
+constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 3000000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
 constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
@@ -39,7 +43,7 @@ PathIndex Repair::last_to_arrive() const {
 void Repair::hurry(int wanted_steps) {
     last_steps_ = 0; // none gets more time now
     joint_left_ = most_joint_nodes;
-    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries, 0};
+    attempts_ = {most_hurries + 4 * paths_.size(), most_hurries, 0, 0};
     const int bound = statistics_.bound_steps;
     const int far = std::max(wanted_steps, bound + bound / far_behind);
     List<int, PathIndex> low(paths_.size(), wanted_steps); // what each of them may hope for
@@ -70,7 +74,14 @@ bool Repair::may_start_again(int behind) const {
     return of_usual(attempts_.work_in_the_end) < most && of_usual(work()) < most_work_of_a_plan;
 }
 
-// One that is far behind starts again in between, until it arrives earlier or too much has been done.
+// The same of knots that begin anew.
+bool Repair::may_untie(int behind) const {
+    const std::int64_t most = std::min(work_of_untying_per_step * behind, most_work_of_untying);
+    return of_usual(attempts_.work_of_untying) < most;
+}
+
+// One that is far behind starts again in between, until it arrives earlier or too much has been done. Where
+// that is in vain its knot begins anew.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
     bool done = false;
@@ -81,6 +92,11 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
                 last, paths_.arrival(last) - std::max(1, behind >> random_.below(most_halvings)), far);
         done = done || squeeze_in_the_end(last, wanted_steps);
         attempts_.work_in_the_end += work() - before;
+        for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
+            const std::int64_t then = work();
+            done = untie(last, wanted_steps);
+            attempts_.work_of_untying += work() - then;
+        }
     } while (!done && may_start_again(behind) && !enough());
     return done;
 }

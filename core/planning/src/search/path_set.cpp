@@ -69,6 +69,7 @@ void PathSet::allow(PathIndex i, int deadline) {
 void PathSet::extend(int steps) { set_steps(steps_ + steps); }
 
 void PathSet::shorten() {
+    if (!noted_.empty()) return;
     int last = 0;
     for (const Member &m : members_) last = std::max({last, m.deadline, m.arrival});
     if (last < steps_) set_steps(last);
@@ -76,13 +77,15 @@ void PathSet::shorten() {
 
 void PathSet::set_steps(int steps) {
     steps_ = steps;
-    for (Member &m : members_) {
-        if (m.path.empty()) continue;
-        // the last step becomes one of many at rest: its second half was at rest already
-        m.path.resize(steps_ + 1, m.path.back());
-        m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
-        m.circles.resize(steps_ + 1, circle_of(m.swept.back()));
-    }
+    for (Member &m : members_)
+        if (!m.path.empty()) fit(m);
+}
+
+// The path to all steps: the last one becomes one of many at rest, its second half was at rest already.
+void PathSet::fit(Member &m) const {
+    m.path.resize(steps_ + 1, m.path.back());
+    m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
+    m.circles.resize(steps_ + 1, circle_of(m.swept.back()));
 }
 
 void PathSet::set_path(PathIndex i, const List<Cell> &path) {
@@ -431,25 +434,38 @@ int PathSet::conflicts() const {
     return sum / 2;
 }
 
-void PathSet::note_changes() {
-    noting_ = true;
-    changed_.clear();
-}
+void PathSet::note_changes() { noted_.emplace_back(); }
 
 void PathSet::note(PathIndex i) {
     const auto same = [i](const SavedPath &saved) { return saved.index == i; };
-    if (noting_ && std::none_of(changed_.begin(), changed_.end(), same)) changed_.push_back(save(i));
+    if (!noted_.empty() && std::none_of(noted_.back().begin(), noted_.back().end(), same))
+        noted_.back().push_back(save(i));
+}
+
+List<PathIndex> PathSet::changed() const {
+    List<PathIndex> out;
+    for (const SavedPath &saved : noted_.back()) out.push_back(saved.index);
+    return out;
 }
 
 void PathSet::end_changes(bool keep) {
-    noting_ = false;
-    if (keep) return;
+    List<SavedPath> last = std::move(noted_.back());
+    noted_.pop_back();
+    if (keep) return note_before(last);
     List<PathIndex> back;
-    for (SavedPath &saved : changed_) {
+    for (SavedPath &saved : last) {
         back.push_back(saved.index);
         restore(std::move(saved));
     }
     for (const PathIndex i : back) count_conflicts(i);
+}
+
+// What has been kept has changed since changes were noted before, too, if they were.
+void PathSet::note_before(List<SavedPath> &last) {
+    if (noted_.empty()) return;
+    const List<PathIndex> known = changed();
+    for (SavedPath &saved : last)
+        if (!known.contains(saved.index)) noted_.back().push_back(std::move(saved));
 }
 
 SavedPath PathSet::save(PathIndex i) const {
@@ -477,6 +493,7 @@ void PathSet::restore(SavedPath saved) {
     m.arrival = saved.arrival;
     m.still = saved.still;
     m.presence = Presence::path;
+    fit(m);
 }
 
 } // namespace fl::planning

@@ -95,7 +95,7 @@ class PathSet {
     void find_neighbours();
     // Gives a positioner more time; those that have arrived rest at the goal during steps added.
     void allow(PathIndex i, int deadline);
-    // Ends with the last step that any of them may use.
+    // Ends with the last step that any of them may use; not while changes are noted.
     void shorten();
 
     // Seeks a path of one positioner among the others as they are now; false if there is none below give_up.
@@ -122,6 +122,8 @@ class PathSet {
     int conflicts() const; // pairs
     // Whether two conflict, but not if both are on time.
     bool only_late(PathIndex i, PathIndex j) const;
+    // Whether any may be late.
+    bool heeds_lateness() const { return late_steps_ > 0; }
     bool spared(PathIndex i, PathIndex j) const { return at(i).spared.contains(j); }
     // From now on both are taken to be on time where they meet. False if they are already.
     bool spare(PathIndex i, PathIndex j);
@@ -130,8 +132,11 @@ class PathSet {
 
     // From now on what changes is noted ...
     void note_changes();
-    // ... until here; unless they are kept, all paths are as they were, with their conflicts.
+    // ... until here; unless they are kept, all paths are as they were, with their conflicts. Between the two
+    // changes may be noted once more.
     void end_changes(bool keep);
+    // Those that have changed since changes are noted. @pre they are.
+    List<PathIndex> changed() const;
 
     SavedPath save(PathIndex i) const;
     void restore(SavedPath saved);
@@ -172,6 +177,8 @@ class PathSet {
     int late_in_conflict(const Member &p, const Member &q) const;
     void forget_conflicts(PathIndex i);
     void note(PathIndex i);
+    void note_before(List<SavedPath> &last);
+    void fit(Member &m) const;
     Circle circle_of(const SweptArm &swept) const;
     bool circles_touch(const Circle &p, const Circle &q) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
@@ -180,8 +187,7 @@ class PathSet {
     int steps_;
     int late_steps_;
     List<Member, PathIndex> members_;
-    List<SavedPath> changed_; // while noting: those that have changed, as they were
-    bool noting_ = false;
+    List<List<SavedPath>> noted_; // those that have changed, as they were; the last one since the last call
     MovingObstacles moving_;
     CostToGo guide_;
     TouchTables tables_;

@@ -105,10 +105,10 @@ List<Repair::Pair> Repair::pairs() const {
 
 bool Repair::run(int first_steps, int last_steps) {
     const double most = effort_ * std::max(least_rounds, rounds_per_robot * paths_.size());
-    last_steps_ = last_steps;
+    last_steps_ = most_steps_ = last_steps;
     first_steps_ = first_steps;
     joint_left_ = most_joint_nodes;
-    if (rounds(static_cast<int>(most))) return true;
+    if (part(static_cast<int>(most))) return true;
     // those that meet, and all around them, are on time now
     bool fewer = false;
     for (const PathIndex i : paths_.places())
@@ -149,8 +149,8 @@ bool Repair::rounds(int most) {
     std::int64_t since = expansions();
     int in_vain = 0; // repairs
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
-        if (in_vain++ > most_repairs_in_vain()) break;
-        if (enough() && k >= last_rounds) break;
+        if (in_vain++ > most_repairs_in_vain() / vain_share_) break;
+        if ((enough() && k >= last_rounds) || work() > most_work_) break;
         const auto all = pairs();
         if (all.empty()) return true;
         round(all[random_.below(all.size())]);
@@ -343,7 +343,7 @@ int Repair::joint_nodes(const List<PathIndex> &joint) const {
 // The pair, and now and then a third: three arms can lock each other in a ring.
 List<PathIndex> Repair::choose_joint(Pair pair) {
     List<PathIndex> joint{pair.first, pair.second};
-    if (joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
+    if (pairs_by_flood_ || joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
     const PathIndex third = near_one_of(pair, 6);
     if (third != pair.first && third != pair.second) joint.push_back(third);
     return joint;
@@ -384,8 +384,8 @@ void Repair::joint_round(Pair pair) {
     forget_paths(group.members);
     const int most_nodes = joint_nodes(joint);
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
-    const bool by_flood =
-        joint.size() == 2 && (last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
+    const bool by_flood = joint.size() == 2 && (pairs_by_flood_ || last_steps_ == 0 || random_.chance(50)) &&
+                          paths_.can_flood(joint);
     floods_ += by_flood;
     const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
                                 : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);

@@ -12,10 +12,10 @@ inline constexpr int near_by = 8; // neighbours that may join a group, or get mo
 
 class Repair {
   public:
-    // share: of the effort of the settings.
-    Repair(PathSet &paths, const Settings &settings, Statistics &statistics, double share)
+    // share: of the effort of the settings. begins_anew: so often in vain the knot of a pair that resists.
+    Repair(PathSet &paths, const Settings &settings, Statistics &statistics, double share, int begins_anew)
         : paths_(paths), settings_(settings), statistics_(statistics), effort_(share * settings.effort),
-          random_(settings.seed) {}
+          begins_anew_(begins_anew), random_(settings.seed) {}
 
     // A path for every positioner, longest first, conflicts allowed where they cannot be avoided. Those that
     // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
@@ -74,6 +74,14 @@ class Repair {
     List<PathIndex> some_around(PathIndex last);
     bool seek_anew(const List<PathIndex> &knot);
     void order(List<PathIndex> &members);
+    List<PathIndex> knot_of(PathIndex i);
+    bool begin_anew(List<PathIndex> knot, int most_pairs);
+    bool part(int most);
+    bool part_anew();
+    PathIndex last_changed(int step) const;
+    bool squeeze_changed(int step);
+    bool may_untie(int behind) const;
+    bool untie(PathIndex last, int wanted_steps);
     std::int64_t of_usual(std::int64_t of_all) const;
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
@@ -91,6 +99,7 @@ class Repair {
     const Settings &settings_;
     Statistics &statistics_;
     double effort_;
+    int begins_anew_;
     Random random_;
     Search search_;
     JointSearch joint_;
@@ -98,12 +107,17 @@ class Repair {
     // and what has been done for those that are far behind.
     struct Attempts {
         int all = 0, with_repairs = 0;
-        std::int64_t work_in_the_end = 0;
+        std::int64_t work_in_the_end = 0, work_of_untying = 0;
     } attempts_;
     int joint_left_ = 0; // nodes that joint searches may still look at
     std::int64_t floods_ = 0;
+    static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
+    std::int64_t most_work_ = unlimited; // beyond which repairs end
+    int vain_share_ = 1;                 // over this, repairs are made in vain
+    bool pairs_by_flood_ = false; // joint searches are of two alone, and keep to a flood where they can
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
+    int most_steps_ = 0; // the same before any hurries
 };
 
 } // namespace fl::planning
