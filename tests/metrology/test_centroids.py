@@ -167,40 +167,6 @@ def test_neighbours_are_flagged_and_told_apart():
     assert result.missed + result.false <= 12
 
 
-def pairs_of_spots(gap_px, pairs=30, step=60.0, seed=2):
-    """Frame of spots in a lattice of which `pairs` have another one `gap_px` beside them; places of these."""
-    rng, fwhm = np.random.default_rng(seed), 2.4
-    size = int(step * 21)
-    image, sigma = np.full((size, size), 100.0), fwhm / 2.3548
-    lattice = step * (np.indices((20, 20)).reshape(2, -1).T + 0.8)
-    first = lattice + rng.uniform(-0.5, 0.5, lattice.shape)
-    angle = rng.uniform(0.0, 2.0 * np.pi, pairs)
-    second = first[:pairs] + gap_px * np.column_stack([np.cos(angle), np.sin(angle)])
-    for x, y in np.vstack([first, second]):
-        rows, columns = np.ogrid[int(y) - 12 : int(y) + 13, int(x) - 12 : int(x) + 13]
-        light = rng.uniform(0.7, 1.3) * 1.2e5 / (2.0 * np.pi * sigma**2)
-        image[rows, columns] += light * np.exp(-0.5 * ((rows - y) ** 2 + (columns - x) ** 2) / sigma**2)
-    noisy = rng.poisson(image) + rng.normal(0.0, 10.0, image.shape) + BIAS
-    return noisy.astype(np.float32), np.stack([first[:pairs], second], axis=1)
-
-
-@pytest.mark.parametrize("gap_px", [0.8, 1.25, 1.5, 1.7, 2.0, 2.2, 2.7, 4.0])
-def test_spots_that_share_their_light_know_how_far_off_they_are(gap_px):
-    """Merged or told apart; but for those that lost pixels as a cosmic ray's, which they flag."""
-    image, places = pairs_of_spots(gap_px)
-    spots = find_spots(image).spots
-    told, pulls = 0, []
-    for pair in places:
-        near = np.flatnonzero(np.hypot(*(spots.xy_px - pair.mean(axis=0)).T) < 6.0)
-        told += len(near) == 2
-        for k in near[~spots.has(Flag.COSMIC)[near] | spots.has(Flag.POOR_SHAPE)[near]]:
-            off_px = np.hypot(*(spots.xy_px[k] - pair).T).min()
-            pulls.append(off_px / np.sqrt(np.trace(spots.covariance_px2[k])))
-    assert max(pulls, default=0.0) < 6.0
-    if gap_px >= 4.0:
-        assert told == len(places)
-
-
 def test_spots_on_the_edge_are_flagged():
     scene = Scene(n=0, width=400, height=400)
     rng = np.random.default_rng(0)

@@ -26,8 +26,6 @@ constexpr double wide_q = 20;        // where a hidden neighbour is looked for
 constexpr double least_share = 0.04; // of the peak
 constexpr double narrow_fwhm_px = 4.5;
 constexpr int neighbour_rounds = 5;
-constexpr int most_rounds = 40; // of spots that share most of their light: one fit undoes half of another
-constexpr double settled_sigma = 0.1; // a fit that moves by less has settled
 
 // The spots of one image, and which are near each other.
 class Frame {
@@ -79,8 +77,6 @@ class Frame {
                 if (fits_[i].orphaned || shares_pixels(i)) fit_one(i);
             drop_what_is_none();
         }
-        settle();
-        drop_what_is_none();
     }
 
     std::vector<Spot> spots() {
@@ -155,30 +151,6 @@ class Frame {
         fit.saturated = cut.saturated;
         solve(stamp_, profile_, settings_, true, fit);
         fit.orphaned = false;
-    }
-
-    // Spots that share pixels, again and again until each stays where it is.
-    void settle() {
-        link(wing_fwhm * typical_fwhm_);
-        bool moves = true;
-        for (int round = neighbour_rounds; moves && round < most_rounds; ++round) {
-            moves = false;
-            for (std::size_t i = 0; i < fits_.size(); ++i) {
-                if (!fits_[i].orphaned && !(shares_pixels(i) && unsettled(i))) continue;
-                fit_one(i);
-                moves = true;
-            }
-        }
-    }
-
-    // Has spot i or one that shares its pixels moved in its last fit?
-    bool unsettled(std::size_t i) const {
-        const auto moved = [](const Fit &f) {
-            return f.moved * f.moved > settled_sigma * settled_sigma * (f.var_x + f.var_y);
-        };
-        return moved(fits_[i]) || std::any_of(near_[i].begin(), near_[i].end(), [&](std::size_t j) {
-                   return distance(fits_[i], fits_[j]) < close_fwhm * typical_fwhm_ && moved(fits_[j]);
-               });
     }
 
     // A spot that leaves a spot over was two.

@@ -280,7 +280,10 @@ class ImageCamera:
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
-        """(N, 2) known places of positioners that do not move, against turbulence."""
+        """(N, 2) places of positioners that do not move, against turbulence; for callers that know them.
+
+        The loop does not give them: it knows them from images alone, whose air they would keep.
+        """
         self.watchers: list[Callable[[Reduction], None]] = []
         """Told of every exposure."""
 

@@ -23,10 +23,6 @@ from fiberloom.wholefile import whole
 
 CSV_COLUMNS = ("x_px", "y_px", "x_err_px", "y_err_px", "flux_e", "flags")
 _NOT_MEASURED = np.zeros(0)
-_MERGED_CHI2 = 2.0
-"""Times that of most spots: light that is not that of one spot, as of two which share their pixels."""
-_MERGED_FWHM = 0.25
-"""[D] Its place errs by so much, per coordinate: two alike up to 1.1 FWHM apart err by 0.24 FWHM at worst."""
 
 
 class Flag(IntFlag):
@@ -119,7 +115,7 @@ class Spots:
     """(n,) position."""
     y_px: Floats
     covariance_px2: Floats
-    """(n, 2, 2); of light that is not shaped like one spot a quarter of the FWHM more, per coordinate."""
+    """(n, 2, 2)."""
     flux_e: Floats
     flux_err_e: Floats
     background_adu: Floats
@@ -282,20 +278,9 @@ def _found(result: tuple[Any, ...], s: SpotSettings) -> Found:
     table, flags, packed, background, noise = result
     x, y, xx, xy, yy, flux, flux_err, level, chi2 = table.T.copy()
     covariance = np.stack([np.stack([xx, xy], 1), np.stack([xy, yy], 1)], 1)
-    gain, profile = s.gain_e_adu, Profile(packed)
-    merged = _merged(chi2, flags)
-    if merged.any():
-        off_px = _MERGED_FWHM * profile.fwhm_px(np.column_stack([x, y])[merged])
-        covariance[merged] += np.square(off_px)[:, None, None] * np.eye(2)
+    gain = s.gain_e_adu
     spots = Spots(x, y, covariance, gain * flux, gain * flux_err, level, chi2, flags)
-    return Found(spots, profile, background, noise)
-
-
-def _merged(chi2: Floats, flags: NDArray[np.uint32]) -> Flags:
-    """(n,) whose light is not that of one spot, where that of most is."""
-    poor = (flags & np.uint32(Flag.POOR_SHAPE)) != 0
-    usual = max(float(np.median(chi2)), 1.0) if len(chi2) else 1.0
-    return np.asarray(poor & (chi2 > _MERGED_CHI2 * usual))
+    return Found(spots, Profile(packed), background, noise)
 
 
 def write_spots(spots: Spots, path: Path, comments: dict[str, object] | None = None) -> None:
