@@ -220,7 +220,7 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
     set(axis, &AxisGroup::still, 0);
     set(axis, &AxisGroup::load_0_Nms,
-        h_s_ * (axes_[axis].spring_0_Nm + torque_Nm) / param(axis, &PlantParams::gear_ratio));
+        h_s_ * (static_cast<double>(axes_[axis].spring_0_Nm) + torque_Nm) / param(axis, &PlantParams::gear_ratio));
 }
 
 void Plant::set_faults(size_t axis, AxisFaults faults) {
@@ -279,7 +279,8 @@ void Plant::configure(size_t axis) {
     configure_gear(axis);
     configure_stops(axis);
     configure_hall(axis);
-    axes_[axis].spring_0_Nm = param(axis, &PlantParams::spring_rate) * param(axis, &PlantParams::spring_free);
+    axes_[axis].spring_0_Nm =
+        static_cast<float>(param(axis, &PlantParams::spring_rate) * param(axis, &PlantParams::spring_free));
     set_external_torque(axis, axes_[axis].torque_Nm);
 }
 

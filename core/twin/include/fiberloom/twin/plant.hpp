@@ -158,8 +158,8 @@ class Plant {
         Differing<PlantParams> params;  // from those of the first axis of its kind
         std::unique_ptr<Broken> broken; // none: nothing is or was
         Bridge bridge;
+        float spring_0_Nm = 0.0f; // of the torsion spring at 0: its parameters lie far from here
         double torque_Nm = 0.0;
-        double spring_0_Nm = 0.0; // of the torsion spring at 0: its parameters lie far from here
     };
     static const Broken whole;
     const Broken &broken(size_t axis) const { return axes_[axis].broken ? *axes_[axis].broken : whole; }
