@@ -220,7 +220,8 @@ void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
     set(axis, &AxisGroup::still, 0);
     set(axis, &AxisGroup::load_0_Nms,
-        h_s_ * (static_cast<double>(axes_[axis].spring_0_Nm) + torque_Nm) / param(axis, &PlantParams::gear_ratio));
+        h_s_ * (static_cast<double>(axes_[axis].spring_0_Nm) + torque_Nm) /
+            param(axis, &PlantParams::gear_ratio));
 }
 
 void Plant::set_faults(size_t axis, AxisFaults faults) {
