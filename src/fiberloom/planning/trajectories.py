@@ -173,9 +173,27 @@ class Plan:
         return np.array([[r.alpha_deg[-1], r.beta_deg[-1]] for r in self.robots]).reshape(-1, 2)
 
     def unmoved(self, why: str) -> "Plan":
-        """All positioners where they begin; those that would have moved are refused: `why`, in words.
+        """All positioners where they begin; those that would have moved are refused.
 
-        Who was refused before keeps its own reason.
+        Those refused before keep their own reason.
+
+        Parameters
+        ----------
+        why : str
+            The reason, in words.
+
+        Returns
+        -------
+        Plan
+            Of the same positioners, at rest.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> plane = fl.FocalPlane.of("sdssv", n=7)
+        >>> made = fl.plan(plane, plane.park_deg, plane.park_deg - [0.0, 30.0]).unmoved("not now")
+        >>> made.duration_s, len(made.refused)
+        (0.0, 7)
         """
         moving = [robot.positioner_id for robot in self.robots if robot.moves]
         stands = (

@@ -179,7 +179,7 @@ def test_where_none_answers_no_more_is_asked():
 
 def test_a_few_that_are_silent_are_named():
     ids = PLANE.positioner_id.tolist()
-    finding = asked()._numbers(set(ids[:-1]))
+    finding = check_numbers(PLANE, set(ids[:-1]))
     assert finding.trouble == "silent positioners"
     assert f"no answer from {ids[-1]}" in finding.text
 

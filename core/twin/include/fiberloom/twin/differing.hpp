@@ -80,7 +80,7 @@ template <class T> class Differing {
         x -= x >> 1 & 0x5555555555555555U;
         x = (x & 0x3333333333333333U) + (x >> 2 & 0x3333333333333333U);
         x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fU;
-        return x * 0x0101010101010101U >> 56;
+        return static_cast<size_t>(x * 0x0101010101010101U >> 56);
     }
 
     std::array<uint64_t, masks> differs_{}; // a bit for each word
