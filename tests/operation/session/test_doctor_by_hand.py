@@ -13,7 +13,7 @@ from fiberloom.bus.protocol import Status
 from fiberloom.calibration.transmission.maps import Provenance
 from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.spots import Flag
-from fiberloom.operation.session.doctor.array import ArrayCheck, check_gateways
+from fiberloom.operation.session.doctor.array import ArrayCheck, check_gateways, check_numbers
 from fiberloom.operation.session.doctor.doctor import Doctor
 from fiberloom.operation.session.doctor.findings import DoctorLimits, Verdict
 from fiberloom.operation.session.doctor.here import (
