@@ -113,13 +113,10 @@ def observed(plane, folder, faults="", meanwhile=None, camera=None):
 
 
 def loses_nothing(plane, folder, clients, within_um):
-    """A field whose connections drop in mid-move: so many come in all, and every fibre arrives; the field.
-
-    On a busy machine more may come.
-    """
+    """A field whose connections drop in mid-move: so many come in all, and every fibre arrives; the field."""
     over_tcp = observed(plane, folder, meanwhile=hang_up_in_mid_move)
     assigned = over_tcp.seen.assignment.target >= 0
-    assert over_tcp.server.report()["clients"] >= clients
+    assert over_tcp.server.report()["clients"] == clients
     assert over_tcp.named == {}
     assert over_tcp.off_um[assigned].max() < within_um
     return over_tcp

@@ -22,7 +22,7 @@ constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 300
 constexpr int usual_robots = 500;
 // Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
 // each step that it is too late, up to a most.
-constexpr int knots_at_once = 4;
+constexpr int knots_at_once = 16;
 constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 3000000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
@@ -81,7 +81,7 @@ bool Repair::may_untie(int behind) const {
 }
 
 // One that is far behind starts again in between, until it arrives earlier or too much has been done. Where
-// that is in vain its knot begins anew.
+// all of that is in vain its knot begins anew.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
     bool done = false;
@@ -92,12 +92,12 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
                 last, paths_.arrival(last) - std::max(1, behind >> random_.below(most_halvings)), far);
         done = done || squeeze_in_the_end(last, wanted_steps);
         attempts_.work_in_the_end += work() - before;
-        for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
-            const std::int64_t then = work();
-            done = untie(last, wanted_steps);
-            attempts_.work_of_untying += work() - then;
-        }
     } while (!done && may_start_again(behind) && !enough());
+    for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
+        const std::int64_t before = work();
+        done = untie(last, wanted_steps);
+        attempts_.work_of_untying += work() - before;
+    }
     return done;
 }
 

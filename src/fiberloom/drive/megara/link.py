@@ -27,7 +27,7 @@ ANSWER_S = 0.5
 TRIES = 3
 """Of a question."""
 POLL_S = 0.5
-"""Between two questions for the end of a search."""
+"""Between two questions whether a motion has ended."""
 LONGEST_SEARCH_S = 90.0
 """[D] A turn of rotor 1 takes 64.7 s."""
 BETA, ALPHA = 2, 1
@@ -126,9 +126,10 @@ class MegaraLink:
         )
         if late is None:
             await self.sleep(end_s - self.time_s)
+            states = await self._until_still(ids, (ALPHA, BETA), leg.duration_s)  # the start may come late
         else:
             await together.hold(self.stop, self._patience)
-        states = await self._states(list(ids))
+            states = await self._states(ids)
         return {robot: _ended(goals[robot], states, robot, late) for robot in ids}
 
     async def _late(self, goals: dict[int, tuple[int, int]], going: Sequence[int]) -> NotStarted:
@@ -138,7 +139,7 @@ class MegaraLink:
         stand = {
             robot
             for robot in set(going) - silent
-            if not any(states[robot, rotor].state is RotorState.MOVING for rotor in (ALPHA, BETA))
+            if not any(_moves(states[robot, rotor]) for rotor in (ALPHA, BETA))
             and not _there(goals[robot], states, robot)
         }
         return not_started(going, stand, silent, lambda number: line_of(self.transport, number))
@@ -149,7 +150,7 @@ class MegaraLink:
         states: dict[tuple[int, int], ToldState] = {}
         for rotor in (BETA, ALPHA):
             await self._send([MegaraFrame.of(robot, rotor, MegaraCommand.HOME) for robot in ids])
-            states |= await self._until_still(ids, rotor)
+            states |= await self._until_still(ids, (rotor,), LONGEST_SEARCH_S)
             told = await self._numbers(ids, MegaraCommand.SLIP, rotor)
             slips |= {(robot, rotor): slip for robot, slip in told.items()}
         rotors = (ALPHA, BETA)
@@ -162,14 +163,15 @@ class MegaraLink:
             for robot in there
         }
 
-    async def _until_still(self, ids: Sequence[int], rotor: int) -> dict[tuple[int, int], ToldState]:
-        end_s = self.time_s + LONGEST_SEARCH_S
+    async def _until_still(
+        self, ids: Sequence[int], rotors: Sequence[int], within_s: float
+    ) -> dict[tuple[int, int], ToldState]:
+        """What robots say once none of these rotors moves, or after `within_s`."""
+        end_s = self.time_s + within_s
         while True:
             states = await self._states(ids)
-            moving = [
-                r for (r, which), one in states.items() if which == rotor and one.state is RotorState.MOVING
-            ]
-            if not moving or self.time_s > end_s:
+            moves = any(rotor in rotors and _moves(one) for (_, rotor), one in states.items())
+            if not moves or self.time_s > end_s:
                 return states
             await self.sleep(POLL_S)
 
@@ -187,8 +189,7 @@ class MegaraLink:
             for reply in await self.transport.receive(left_s):
                 frame = MegaraFrame(reply.id, reply.data)
                 if _is(frame, MegaraCommand.STATE):
-                    moves = decode_state(frame).state is RotorState.MOVING
-                    moving[frame.robot] = moving.get(frame.robot, False) or moves
+                    moving[frame.robot] = moving.get(frame.robot, False) or _moves(decode_state(frame))
         return moving
 
     async def close(self) -> None:
@@ -220,8 +221,16 @@ def _goes(leg: Leg) -> list[bool]:
     return [bool(way) for way in (leg.counts[-1] != leg.counts[0]).any(axis=1)]
 
 
+def _moves(told: ToldState) -> bool:
+    return told.state is RotorState.MOVING
+
+
 def _there(goal: tuple[int, int], states: dict[tuple[int, int], ToldState], robot: int) -> bool:
-    return all(states[robot, rotor].steps == steps for rotor, steps in zip((ALPHA, BETA), goal, strict=True))
+    """At its goal, and at rest: one on its way counts where it will end."""
+    return all(
+        states[robot, rotor].steps == steps and not _moves(states[robot, rotor])
+        for rotor, steps in zip((ALPHA, BETA), goal, strict=True)
+    )
 
 
 def _ended(
