@@ -1,14 +1,10 @@
 #include "kernels.hpp"
+#include "clones.hpp"
 #include "pixels.hpp"
 
 #include <algorithm>
 #include <type_traits>
 
-#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
-#define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
-#else
-#define FL_CLONES
-#endif
 #define FL_INLINE __attribute__((always_inline)) inline
 
 namespace fl::metrology {

@@ -1,4 +1,5 @@
 #include "fiberloom/expose.hpp"
+#include "../clones.hpp"
 #include "normals.hpp"
 #include "painter.hpp"
 
@@ -8,13 +9,6 @@
 #include <numeric>
 #include <thread>
 #include <vector>
-
-// Pixels may be computed by wider vectors where a machine has them, with the same bits.
-#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
-#define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
-#else
-#define FL_CLONES
-#endif
 
 namespace fl::metrology {
 namespace {

@@ -1,15 +1,10 @@
 #include "normals.hpp"
+#include "../clones.hpp"
 
 #include <bit>
 #include <cmath>
 #include <cstring>
-
-// Numbers may be drawn by wider vectors where a machine has them, with the same bits.
-#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
-#define FL_CLONES __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
-#else
-#define FL_CLONES
-#endif
+#include <numbers>
 
 namespace fl::metrology {
 namespace {
@@ -17,7 +12,6 @@ namespace {
 constexpr int part_bits = 11, place_bits = 16 - part_bits;
 constexpr int part_count = 1 << part_bits, tail_parts = 8;
 constexpr std::size_t middle_count = 4096;
-const double pi = std::acos(-1.0);
 
 std::uint64_t splitmix(std::uint64_t &seed) {
     seed += 0x9E3779B97F4A7C15u;
@@ -27,7 +21,7 @@ std::uint64_t splitmix(std::uint64_t &seed) {
     return z ^ (z >> 31);
 }
 
-double density(double x) { return std::exp(-0.5 * x * x) / std::sqrt(2 * pi); }
+double density(double x) { return std::exp(-0.5 * x * x) / std::sqrt(2 * std::numbers::pi); }
 
 // Where the distribution has reached a share, by Newton from below.
 double quantile(double share, double from) {

@@ -1,15 +1,9 @@
+#include "../clones.hpp"
 #include "painter.hpp"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-
-// Pixels of a run may be computed by wider vectors where a machine has them, with the same bits.
-#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(FL_ONE_COPY)
-#define FL_CLONES __attribute__((target_clones("avx2", "default")))
-#else
-#define FL_CLONES
-#endif
 
 namespace fl::metrology {
 namespace {
