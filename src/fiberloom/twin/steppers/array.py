@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -134,13 +134,8 @@ class StepperArray(RigidArms):
 
     def halt(self, rows: Ints) -> None:
         """Motors of these stand still now; their controllers count what was gone."""
-        now, here = self.time_s, self._rotor_now()
-        lost = self._path.rotor[-1, rows] - here[rows]
-        self.counts[rows] -= np.rint(lost).astype(np.int64)
-        later = self._path.time_s >= now
-        rotor = self._path.rotor.copy()
-        rotor[np.ix_(later, rows)] = here[rows]
-        self._path = replace(self._path, rotor=rotor)
+        if self.time_s < self._path.time_s[-1]:
+            self._hold(rows, self.time_s)
 
     def _others(self, corners_s: Floats, rows: Ints) -> tuple[Floats, Floats]:
         """Moments (K,) in s from now of a motion with these corners, and rotors (K, N, 2) of all then.
