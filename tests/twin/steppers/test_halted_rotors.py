@@ -49,3 +49,15 @@ def test_what_is_started_again_at_once_comes_to_the_same_place():
     one_step_deg = np.abs(smooth.array.units.steps.step_deg)
     off_deg = np.abs(smooth.array.truth() - halted.array.truth())
     assert (off_deg <= one_step_deg).all()  # counts are whole, where a rotor stops need not be
+
+
+@pytest.mark.parametrize("after_s", [0.0, 1.7])
+def test_one_after_the_other_at_one_moment(after_s):
+    bus = going()
+    bus.run(after_s)
+    before_deg = bus.array.truth()
+    first, *others = PLANE.positioner_id.tolist()
+    for address in (first, *others, first):
+        bus.send([MegaraFrame.of(address, 0, MegaraCommand.STOP)])
+    bus.run(100.0)
+    np.testing.assert_allclose(bus.array.truth(), before_deg, atol=1e-9)

@@ -186,9 +186,9 @@ class StepperArray(RigidArms):
     def _hold(self, rows: Ints, time_s: float) -> None:
         """Rotors `rows` stand from a moment of the path on; their controllers have counted what was gone."""
         path = self._path
-        k = int(np.clip(np.searchsorted(path.time_s, time_s), 1, len(path.time_s) - 1))
+        k = int(np.clip(np.searchsorted(path.time_s, time_s, side="right"), 1, len(path.time_s) - 1))
         before_s, after_s = path.time_s[k - 1 : k + 1]
-        share = (time_s - before_s) / (after_s - before_s)
+        share = (time_s - before_s) / max(after_s - before_s, 1e-12)  # two stops at one moment
         here = path.rotor[k - 1] + share * (path.rotor[k] - path.rotor[k - 1])
         rotor = np.insert(path.rotor, k, here, axis=0)
         self.counts[rows] -= np.rint(rotor[-1, rows] - here[rows]).astype(np.int64)
