@@ -298,7 +298,7 @@ class TwinServer:
     def report(self) -> dict[str, Any]:
         """Lateness and traffic so far."""
         late = self.real.lateness() if self.real is not None else None
-        paced = {} if late is None else asdict(late) | {"share_kept": late.share_kept}
+        paced = {} if late is None else asdict(late) | {"share_kept": late.share_kept, "first": self._first}
         return {"time_s": self.time_s, **paced, **asdict(self.traffic), "happened": list(self.happened)}
 
     def told(self, report: dict[str, Any]) -> str:

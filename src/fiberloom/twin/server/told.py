@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+WORTH_A_LINE = 1e-3
+"""Share of ticks not kept for want of a core, from which on a way out is told."""
 _LOSSES = {
     "given_up_s": "s of clock given up",
     "overflowed": "frames over the queue",
@@ -31,6 +33,14 @@ def _causes(report: dict[str, Any]) -> list[str]:
     return [f"not kept: {late}; woken late by {woken}; a tick computed in {computing}"]
 
 
+def _advice(report: dict[str, Any]) -> list[str]:
+    """What helps a clock of ordinary priority whose core went to other programs."""
+    others = sum(report["late_by_cause"].get(cause, 0) for cause in ("woken", "taken"))
+    if report["first"] or others < WORTH_A_LINE * report["ticks"]:
+        return []
+    return ["other programs had its core: with --first it runs before them (needs root or CAP_SYS_NICE)"]
+
+
 def paced_text(report: dict[str, Any]) -> str:
     """The `report` of a twin that keeps the ticks of a clock, as a few lines."""
     lines = [
@@ -39,6 +49,7 @@ def paced_text(report: dict[str, Any]) -> str:
         f"kept {100 * report['share_kept']:.2f} % of the ticks; late by {report['p50_ms']:.2f} ms (half), "
         f"{report['p99_ms']:.2f} ms (99 %), {report['worst_ms']:.2f} ms (worst)",
         *_causes(report),
+        *_advice(report),
         f"{report['clients']} clients, {report['frames_in']} frames in, {report['frames_out']} out",
     ]
     lost = [f"{report[key]:.4g} {what}" for key, what in _LOSSES.items() if report[key]]
