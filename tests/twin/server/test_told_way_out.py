@@ -2,11 +2,29 @@
 
 from fiberloom.twin.server.told import paced_text
 
-REPORT = {
-    "time_s": 1.0, "ticks": 2000, "resting": 0, "share_kept": 0.9, "p50_ms": 0.1, "p99_ms": 1.0, "worst_ms": 4.0,
-    "woken_ms": (0.1, 1.0, 4.0), "computing_ms": (0.1, 0.2, 0.3), "clients": 0, "frames_in": 0, "frames_out": 0,
-    "given_up_s": 0.0, "overflowed": 0, "unread": 0, "lost": 0, "late": 0, "refused_clients": 0, "happened": [],
-}  # fmt: skip
+ZEROS = [
+    "resting",
+    "clients",
+    "frames_in",
+    "frames_out",
+    "given_up_s",
+    "overflowed",
+    "unread",
+    "lost",
+    "late",
+    "refused_clients",
+    "p50_ms",
+    "p99_ms",
+    "worst_ms",
+]
+REPORT = dict.fromkeys(ZEROS, 0) | {
+    "time_s": 1.0,
+    "ticks": 2000,
+    "share_kept": 0.9,
+    "woken_ms": (0.1, 1.0, 4.0),
+    "computing_ms": (0.1, 0.2, 0.3),
+    "happened": [],
+}
 
 
 def told(first, **causes):
