@@ -43,6 +43,8 @@ PEERS = Path(__file__).parent / "peers"
 PEER_TICKS = 2000
 MOST_AXES = 4000
 """Of one twin: positioners of a bus have numbers up to 2047."""
+PAPER_POSITIONERS = 100_000
+"""Reckoned, not run."""
 SLICE_S = 0.5
 NEEDS = "cannot run here: C needs gcc, numba pip install 'fiberloom[peers]'"
 APART, TOUCHING = (20.0, 178.0), (20.0, 60.0)
@@ -168,6 +170,22 @@ def scale(numbers, seconds):
     return out
 
 
+def on_paper(rows, larger, power):
+    """Cores that keep up with real time, and memory: from the most axes measured, with the growth found."""
+    last, axes = larger[-1], 2 * PAPER_POSITIONERS
+    grown = (axes / last["axes"]) ** (power - 1.0)
+    cost_ns = {r["case"]: r["ns_per_axis_tick"] for r in rows if r["threads"] == 1}
+    adaptive = cost_ns["the same in adaptive steps"] / cost_ns["with neighbours"]
+    cores = 1e-9 * grown * last["ns_per_axis_tick"] * axes / core.TICK_S
+    return {
+        "positioners": PAPER_POSITIONERS,
+        "twins": -(-axes // MOST_AXES),
+        "cores": cores,
+        "cores_adaptive": adaptive * cores,
+        "GiB": axes * last["bytes_per_axis"] / 2**30,
+    }
+
+
 def bytes_per_axis(plane, units):
     """Of the twin in a move, all that it holds; the firmware's own state is not in it."""
     twin = Twin(plane, units, seed=1, start_deg=APART, threads=1)
@@ -239,6 +257,11 @@ def show(report):
         )
     if report["exponent"] is not None:
         print(f"  growth with the power {report['exponent']:.3f}")
+        paper = report["on_paper"]
+        print(
+            f"  on paper, {paper['positioners']} positioners in {paper['twins']} twins: real time on "
+            f"{paper['cores']:.1f} cores, {paper['cores_adaptive']:.1f} in adaptive steps; {paper['GiB']:.2f} GiB"
+        )
     print("peers, plant only:")
     for name, ns in report["peers_ns_per_axis_tick"].items():
         factor = NEEDS if ns is None else f"{ns:6.1f} ns/axis-tick, {5e2 / ns:5.1f} x"
@@ -262,7 +285,7 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("build/bench/twin.json"))
     args = parser.parse_args()
     rows, larger = measure(args.axes, args.seconds), scale(args.scale, args.seconds / 2)
-    clocks = clocks_GHz()
+    clocks, power = clocks_GHz(), exponent(larger) if len(larger) > 1 else None
     report = {
         "version": __version__,
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
@@ -272,7 +295,8 @@ def main():
         "firmware_ns_per_axis_tick": firmware_cost_ns(rows),
         "rows": rows,
         "scale": larger,
-        "exponent": exponent(larger) if len(larger) > 1 else None,
+        "exponent": power,
+        "on_paper": None if power is None else on_paper(rows, larger, power),
         "clocks_GHz": clocks,
         "peers_ns_per_axis_tick": peers(args.axes, clocks),
     }
