@@ -259,8 +259,9 @@ def show(report):
         print(f"  growth with the power {report['exponent']:.3f}")
         paper = report["on_paper"]
         print(
-            f"  on paper, {paper['positioners']} positioners in {paper['twins']} twins: real time on "
-            f"{paper['cores']:.1f} cores, {paper['cores_adaptive']:.1f} in adaptive steps; {paper['GiB']:.2f} GiB"
+            f"  on paper, {paper['positioners']} positioners in {paper['twins']} twins: "
+            f"real time on {paper['cores']:.1f} cores, {paper['cores_adaptive']:.1f} in adaptive steps; "
+            f"{paper['GiB']:.2f} GiB"
         )
     print("peers, plant only:")
     for name, ns in report["peers_ns_per_axis_tick"].items():

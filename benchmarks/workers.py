@@ -18,7 +18,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fiberloom.studies.campaign import Rows, run
+import numpy as np
+
+from fiberloom.studies.campaign import run
 from fiberloom.studies.lifetime import LifetimeSettings
 from fiberloom.studies.lifetime_results import lifetime_campaign
 from fiberloom.version import __version__
@@ -63,7 +65,8 @@ def workers_of_dask(number: int) -> Iterator[str | None]:
         return
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=number, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+    how = {"n_workers": number, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(**how) as cluster:  # type: ignore[no-untyped-call]
         yield cluster.scheduler_address
 
 
@@ -73,7 +76,7 @@ def own_cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def same(made: Rows, alone: Rows) -> bool:
+def same(made: dict[str, np.ndarray], alone: dict[str, np.ndarray]) -> bool:
     """Whether two results are the same, to the byte."""
     return {k: v.tobytes() for k, v in made.items()} == {k: v.tobytes() for k, v in alone.items()}
 
