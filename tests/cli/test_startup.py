@@ -130,3 +130,18 @@ def test_linear_algebra_has_one_thread_so_that_cores_do_not_change_results(given
         [sys.executable, "-c", THREADS], env=env, capture_output=True, text=True, check=True, timeout=60
     )
     assert ("threads 1" in done.stdout.splitlines()) == alone
+
+
+FROZEN = """
+import atexit, gc, sys
+atexit.register(lambda: print("left", len(gc.get_objects())))  # called last
+from fiberloom.cli import main
+sys.argv = ["fiberloom", "--version"]
+main()
+"""
+
+
+def test_at_the_end_cycles_are_not_looked_for_among_all_that_was_imported():
+    done = subprocess.run([sys.executable, "-c", FROZEN], capture_output=True, text=True, check=True)
+    _, left = done.stdout.splitlines()
+    assert int(left.split()[1]) < 100
