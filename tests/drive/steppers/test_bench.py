@@ -1,14 +1,18 @@
 """A bench finds what the twin has drawn: axes, arms, zeros and gears of each unit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fiberloom as fl
-from fiberloom.drive.steppers.bench import calibrate_units
+from fiberloom.drive.steppers.bench import BenchSettings, calibrate_units
 from fiberloom.drive.steppers.found_arms import FoundArms
 from fiberloom.instruments.model import METROLOGY
 from fiberloom.twin.motors.arrays import source_of
 from fiberloom.twin.steppers.array import StepperArray
+from fiberloom.twin.steppers.source import TwinBench
+from fiberloom.twin.steppers.units import draw_stepper_units
 
 PLANE = fl.FocalPlane.of("moons", seed=3, n=12)
 
@@ -42,6 +46,37 @@ def test_counts_by_the_bench_bring_fibres_to_their_places(source):
     assert np.sqrt(np.mean(off_um**2)) < 6.5
     told = PLANE.forward(*source.known.true_deg(counts, np.ones((12, 2))).T)
     assert 1e3 * np.hypot(*(told - PLANE.forward(*goal.T)).T).max() < 4.0  # half a step of either axis
+
+
+@pytest.mark.parametrize(
+    ("bench_um", "most_um"),
+    [
+        # straight lines between 73 points of the gears; by counts that are not whole steps it was 1.4 um
+        (0.0, 0.4),
+        # 1.4 um across the arm at a point, of alpha over the whole reach; by the alpha arm it was 4.3 um
+        (2.0, 2.2),
+    ],
+)
+def test_the_tables_are_off_by_what_the_camera_and_their_points_leave(monkeypatch, bench_um, most_um):
+    instrument = PLANE.instrument
+    steppers = {**instrument.twin["steppers"], "repeat_deg": 0.0}
+    exact = instrument.model_copy(update={"twin": {**instrument.twin, "steppers": steppers}})
+    plane = replace(fl.FocalPlane.of("moons", seed=3, n=40), instrument=exact)
+    monkeypatch.setattr("fiberloom.twin.steppers.source.BENCH_UM", bench_um)
+    units = draw_stepper_units(plane, 3)
+    source = source_of(plane, 3, "noise")
+    known = calibrate_units(plane, TwinBench(plane, units, 4), BenchSettings(knots=73, sweeps=1))
+    rng, datum_deg = np.random.default_rng(2), np.column_stack([s.offset_deg for s in units.switches])
+    off_um = []
+    for _ in range(25):
+        counts = known.counts(
+            np.column_stack([rng.uniform(-175, 155, 40), rng.uniform(20, 300, 40)]), np.ones((40, 2))
+        )
+        true = source.true_plane.forward(
+            *units.output_deg(counts.astype(float), np.ones((40, 2)), datum_deg).T
+        )
+        off_um.append(1e3 * (true - plane.forward(*known.true_deg(counts, np.ones((40, 2))).T)))
+    assert np.sqrt(np.mean(np.square(off_um)) * 2.0) < most_um
 
 
 def test_angles_of_found_arms_and_of_the_layout_are_of_one_place():

@@ -111,31 +111,46 @@ class _Found:
 
     def errors(self, seen: Floats) -> Floats:
         """(N, 2, 2, K) errors in deg by the fibres (N, 2, 2, K, 2) of a sweep."""
-        fixed_deg = self.knots_deg[0, self._middle]
         alpha = self._alpha(seen[:, 0])
         # where alpha stands while beta turns: it came there falling
-        beta = self._beta(seen[:, 1], fixed_deg + alpha[:, 1, self._middle])
+        told_deg = self._told(0, self._right_deg, self.knots_deg[0, self._middle])[:, 0]
+        beta = self._beta(seen[:, 1], told_deg + alpha[:, 1, self._middle])
         return np.stack([alpha, beta], axis=1)
 
     def _alpha(self, seen: Floats) -> Floats:
-        """(N, 2, K) errors of alpha, by fibres (N, 2, K, 2) in mm."""
-        out = np.empty(seen.shape[:3])
+        """(N, 2, K) errors of alpha, by fibres (N, 2, K, 2) in mm.
+
+        Beta stands all the while: its angle is the mean of what all points say. By that the direction of a
+        fibre from the axis tells alpha over its whole reach; both angles of one point alone tell it over no
+        more than the alpha arm.
+        """
+        told = np.stack([self._told(0, self._right_deg, knot) for knot in self.knots_deg[0]], axis=1)
+        stands_deg = self._standing_deg(seen, told)
+        centre, out = self.plane.centres_mm, np.empty(seen.shape[:3])
         for way, knot in np.ndindex(seen.shape[1], seen.shape[2]):
-            told = self._told(0, self._right_deg, self.knots_deg[0, knot])
-            angles = told.copy()
+            expected = self.plane.forward(told[:, knot, 0], stands_deg) - centre
+            out[:, way, knot] = _direction_deg(seen[:, way, knot] - centre) - _direction_deg(expected)
+        return _wrapped(out)
+
+    def _standing_deg(self, seen: Floats, told_deg: Floats) -> Floats:
+        """(N,) beta in deg while alpha turns, by fibres (N, 2, K, 2) in mm; `told_deg` (N, K, 2)."""
+        off = np.empty(seen.shape[:3])
+        for way, knot in np.ndindex(seen.shape[1], seen.shape[2]):
+            angles = told_deg[:, knot].copy()
             for _ in range(ROUNDS):
-                off = seen[:, way, knot] - self.plane.forward(*angles.T)
-                angles += np.linalg.solve(self.plane.jacobian(*angles.T), off[..., None])[..., 0]
-            out[:, way, knot] = _wrapped(angles - told)[:, 0]
-        return out
+                miss = seen[:, way, knot] - self.plane.forward(*angles.T)
+                angles += np.linalg.solve(self.plane.jacobian(*angles.T), miss[..., None])[..., 0]
+            off[:, way, knot] = _wrapped(angles - told_deg[:, knot])[:, 1]
+        return np.asarray(told_deg[:, 0, 1] + off.mean(axis=(1, 2)))
 
     def _beta(self, seen: Floats, alpha_deg: Floats) -> Floats:
         """(N, 2, K) errors of beta, by fibres (N, 2, K, 2) in mm and where alpha is, (N,) deg."""
         off = seen - self.plane.elbows_mm(alpha_deg)[:, None, None]
-        direction = rad_to_deg(np.arctan2(off[..., 1], off[..., 0]))
-        plane = self.plane
+        plane, direction = self.plane, _direction_deg(off)
         zero = alpha_deg + rad_to_deg(plane.alpha_off_rad + plane.beta_off_rad + plane.metrology_phi_rad)
-        return _wrapped(direction - zero[:, None, None] - self.knots_deg[1])
+        fixed_deg = self.knots_deg[0, self._middle]
+        told = np.stack([self._told(1, fixed_deg, knot)[:, 1] for knot in self.knots_deg[1]], axis=1)
+        return _wrapped(direction - zero[:, None, None] - told[:, None])
 
     def _ways(self, axis: int, other_deg: float) -> Floats:
         """(N, 2, K, 2) mm: fibres at the knots, while angles rise and while they fall."""
@@ -169,6 +184,11 @@ def _circles(seen: Floats) -> Floats:
     points = seen.reshape(len(seen), -1, 2)
     fit = fit_circles(points, np.ones(points.shape[:2], dtype=bool))
     return np.column_stack([fit.centre_mm, fit.radius_mm])
+
+
+def _direction_deg(way_mm: Floats) -> Floats:
+    """(...) deg from x of ways (..., 2)."""
+    return rad_to_deg(np.arctan2(way_mm[..., 1], way_mm[..., 0]))
 
 
 def _wrapped(angles_deg: Floats) -> Floats:

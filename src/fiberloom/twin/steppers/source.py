@@ -74,7 +74,7 @@ class StepperSource:
         """What a bench finds of them, or has found before by the file of a calibration."""
         if self._known_file is not None:
             return read_units(self._known_file, self.plane)
-        return calibrate_units(self.plane, _TwinBench(self.plane, self.units, self.seed + 1), self.kind.bench)
+        return calibrate_units(self.plane, TwinBench(self.plane, self.units, self.seed + 1), self.kind.bench)
 
     @cached_property
     def bus(self) -> StepperBus:
@@ -149,7 +149,7 @@ class StepperSource:
         return replace(self.plane, arms=self.units.arms, points=points)
 
 
-class _TwinBench:
+class TwinBench:
     """The same units alone, under a bench's camera. Implements `fiberloom.drive.steppers.bench.Bench`."""
 
     def __init__(self, plane: FocalPlane, units: StepperUnits, seed: int) -> None:
