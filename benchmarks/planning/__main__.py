@@ -12,17 +12,26 @@ Arrays of another instrument, with all its parts and keep-outs, ours alone:
 
     python -m benchmarks.planning --alone --generated --hexagon --preset "desi 5000" --buffer 1.58 --pairs 3
 
-Exit code 0: compared; 1: a plan of ours does not pass the verifier; 2: bad input; 3: no comparison.
+With `--keep DIR` each pair is kept at once, and the same command goes on where it was stopped; results of
+another build are not mixed.
+
+Exit code 0: compared; 1: a plan of ours does not pass the verifier; 2: bad input; 3: no comparison; 130:
+interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
 import sys
+import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from benchmarks.faults.campaign import Campaign, interruptible
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
@@ -30,6 +39,7 @@ from fiberloom.planning import bound_s
 from fiberloom.version import __version__
 
 from . import pairs, peer
+from .builds import claim
 from .rows import HEAD, Line, growth, row, show, smoothing, why
 
 ALONE = "ours alone"
@@ -38,6 +48,15 @@ ALONE = "ours alone"
 def main() -> int:
     """Runs what the command line asks for."""
     asked = arguments()
+    if asked.keep:
+        return interruptible(asked.keep, partial(run, asked))
+    with tempfile.TemporaryDirectory() as folder:
+        asked.keep = Path(folder)
+        return run(asked)
+
+
+def run(asked: argparse.Namespace) -> int:
+    """All arrays at all buffers, then the tables."""
     reason = ALONE if asked.alone else peer.why_not()
     print(f"no comparison with kaiju: {reason}" if reason else "kaiju: there and back by the folded lattice")
     try:
@@ -49,7 +68,8 @@ def main() -> int:
     rows, each = [], []
     for name, plane in arrays:
         for buffer_mm in asked.buffer:
-            lines = measured(plane, buffer_mm, asked, not reason)
+            folder = asked.keep / f"{name.replace(' ', '-')}-{buffer_mm:g}mm{'-alone' * bool(reason)}"
+            lines = measured(plane, buffer_mm, asked, not reason, folder)
             each += [{"array": name, "buffer_mm": buffer_mm} | line for line in lines]
             for who in ("fiberloom", "kaiju"):
                 if of_it := [line for line in lines if line["who"] == who]:
@@ -84,6 +104,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--limit", type=float, default=1800.0, help="s of real time that kaiju has for a pair"
     )
+    parser.add_argument(
+        "--keep", type=Path, help="folder where each pair is kept; goes on where it was stopped"
+    )
     parser.add_argument("--out", type=Path, help="JSON file")
     parser.add_argument("--verbose", action="store_true", help="a line per pair, on stderr")
     return parser.parse_args()
@@ -102,20 +125,40 @@ def arrays_of(asked: argparse.Namespace) -> list[tuple[str, FocalPlane]]:
     return [(name, pairs.array_of(place)) for name, place in names]
 
 
-def measured(plane: FocalPlane, buffer_mm: float, asked: argparse.Namespace, both: bool) -> list[Line]:
-    """A line per pair and planner."""
-    lines = []
-    for seed in range(asked.first_seed, asked.first_seed + asked.pairs):
-        ends_deg = pairs.ends_of(plane, seed, buffer_mm)
-        common = {"seed": seed, "positioners": plane.n, "bound_s": bound_s(plane, *ends_deg)}
-        lines.append(common | ours(plane, ends_deg, buffer_mm, seed))
-        if both:
-            job = peer.job_of(plane, ends_deg, buffer_mm, pairs.speed_deg_s(plane), seed)
-            lines.append(common | theirs(plane, peer.asked(plane, job, asked.limit)))
+def measured(
+    plane: FocalPlane, buffer_mm: float, asked: argparse.Namespace, both: bool, folder: Path
+) -> list[Line]:
+    """A line per pair and planner; what is in the folder is not computed again."""
+    claim(folder, plane.config_hash())
+    work = partial(one_pair, plane, buffer_mm, asked.limit if both else None)
+
+    def tell(found: Line) -> None:
         if asked.verbose:
-            for line in lines[-1 - both :]:
-                print(json.dumps(line), file=sys.stderr, flush=True)
-    return lines
+            print(json.dumps(found), file=sys.stderr, flush=True)
+
+    seeds = range(asked.first_seed, asked.first_seed + asked.pairs)
+    kept = Campaign(folder, work, deadline_s=math.inf).run(seeds, tell)
+    return [line for found in kept.values() for line in found.get("lines") or [crashed(plane, found)]]
+
+
+def one_pair(plane: FocalPlane, buffer_mm: float, limit_s: float | None, seed: int, log: Path) -> Line:
+    """One pair by fiberloom and, with a limit, by kaiju; in a process of its own."""
+    ends_deg = pairs.ends_of(plane, seed, buffer_mm)
+    lines = [ours(plane, ends_deg, buffer_mm, seed)]
+    if limit_s is not None:
+        job = peer.job_of(plane, ends_deg, buffer_mm, pairs.speed_deg_s(plane), seed)
+        lines.append(theirs(plane, peer.asked(plane, job, limit_s)))
+    log.unlink(missing_ok=True)
+    common = {"seed": seed, "positioners": plane.n, "bound_s": bound_s(plane, *ends_deg)}
+    return {"seed": seed, "lines": [common | line for line in lines]}
+
+
+def crashed(plane: FocalPlane, found: Line) -> Line:
+    """The line of a pair whose process has died: none of ours arrives."""
+    reason = found["crash"].strip().splitlines()[-1]
+    failed = dict.fromkeys(map(str, plane.positioner_id), reason)
+    common = {"seed": found["seed"], "positioners": plane.n, "bound_s": math.nan}
+    return common | {"who": "fiberloom", "failed": failed, "verified": False, "cpu_s": 0.0}
 
 
 def ours(plane: FocalPlane, ends_deg: Any, buffer_mm: float, seed: int) -> Line:

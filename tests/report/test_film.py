@@ -129,6 +129,22 @@ def test_arms_that_are_near_are_marked_and_the_least_gap_is_of_all_bodies(moved)
     assert at_obstacle  # or they are not looked at
 
 
+def test_the_nearest_two_are_named(moved, stuck):
+    shown, n = moved[0], moved[0].plane.n
+    for moment in shown.pictures[::5]:
+        gaps = gaps_beyond_buffers_mm(shown, moment)
+        one, other = sorted(np.unravel_index(gaps.argmin(), gaps.shape))
+        said = shown.nearest(int(moment))
+        assert said.endswith(f", {gaps.min():.3f} mm")
+        names = {str(shown.plane.positioner_id[k]) for k in (one, other) if k < n}
+        assert names <= set(said.replace(",", "").split())
+        if other >= n:
+            assert "fiducial" in said or "guide camera" in said
+    # two that overlap and stay are not what the motion comes nearest to
+    touching = {v.positioner_id for v in stuck[1].contacts}
+    assert str(min(touching)) not in stuck[0].nearest(0).replace(",", "").split()
+
+
 def test_pairs_that_overlap_and_stay_do_not_hide_the_least_gap(stuck):
     shown, checked = stuck
     assert checked.min_clearance_mm < 0.0
@@ -163,6 +179,7 @@ def test_the_title_says_the_result(moved, stuck, sdssv):
     alone = generate(sdssv, 0, 1)
     alone = replace(alone, fiducials=alone.fiducials[:0], guide_cameras=alone.guide_cameras[:0])
     none = Moments(alone, still(alone), alone.park_deg)
+    assert none.nearest(0) == ""
     assert "no neighbours" in film_title(none, verify(alone, none.plan))
     Picture(none, "nothing but one arm").figure.canvas.draw()
 
@@ -268,7 +285,9 @@ def test_the_clock_runs(moved):
     moment = int(shown.pictures[30])
     picture.show(moment)
     time_s = shown.time_s[moment]
-    assert picture.clock.get_text() == f"{time_s:.1f} s   {shown.moving[moment].sum()} in motion"
+    first, second = picture.clock.get_text().splitlines()
+    assert first == f"{time_s:.1f} s   {shown.moving[moment].sum()} in motion"
+    assert second == shown.nearest(moment)
     assert [line.get_xdata()[0] for line in picture.now] == [time_s, time_s]
 
 

@@ -1,12 +1,15 @@
 """The comparison with kaiju: its paths as plans of ours, and no comparison where there is none."""
 
 import json
+import os
 import sys
 
 import numpy as np
 import pytest
+from benchmarks.faults.campaign import LINES
 from benchmarks.planning import __main__ as comparison
 from benchmarks.planning import pairs, peer, peer_worker, rows
+from benchmarks.planning.builds import BUILD
 
 PLANE = pairs.array_of("hexagon 7")
 NUMBERS = list(map(str, PLANE.positioner_id))
@@ -97,6 +100,34 @@ def test_no_comparison_is_told_and_not_pretended(tmp_path, monkeypatch, capsys, 
     report = json.loads(out.read_text())
     assert report["no_comparison"]
     assert {row["who"] for row in report["rows"]} == {"fiberloom"}
+
+
+def alone(monkeypatch, folder, pair_count):
+    monkeypatch.setattr(pairs, "real_layout", lambda: None)
+    words = ["--alone", "--generated", "--hexagon", "7", "--pairs", str(pair_count), "--keep", str(folder)]
+    monkeypatch.setattr(sys, "argv", ["benchmarks.planning", *words])
+    return comparison.main()
+
+
+def test_it_goes_on_where_it_was_stopped_and_mixes_no_builds(tmp_path, monkeypatch, capsys):
+    assert alone(monkeypatch, tmp_path, 1) == 0
+    kept = tmp_path / "hexagon-7-2mm-alone" / LINES
+    first = kept.read_text()
+    assert alone(monkeypatch, tmp_path, 2) == 0
+    assert kept.read_text().startswith(first)  # not computed again: its CPU time would differ
+    assert "| 2 of 2 | 0 of 14 |" in capsys.readouterr().out
+    mark = kept.with_name(BUILD)
+    mark.write_text(json.dumps(json.loads(mark.read_text()) | {"build": "0123456789ab"}))
+    assert alone(monkeypatch, tmp_path, 2) == 2
+    assert "another build" in capsys.readouterr().err
+
+
+def test_a_pair_whose_process_dies_is_no_success(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(comparison, "ours", lambda *_: os._exit(9))
+    assert alone(monkeypatch, tmp_path, 1) == 1
+    said = capsys.readouterr().out
+    assert "| 0 of 1 | 7 of 7 |" in said
+    assert "ended with 9" in said
 
 
 def line(**more):

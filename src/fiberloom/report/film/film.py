@@ -162,7 +162,10 @@ class Picture:
         self.beta_arms = self._lines(RESTING, self._pt(0.6 * body_mm), 3)
         self.goals = self._draw_goals()
         self._name_refused()
-        self.clock = self.field.text(0.012, 0.985, "", transform=self.field.transAxes, va="top", fontsize=12)
+        self.clock = self.field.text(
+            0.012, 0.985, "", transform=self.field.transAxes, va="top", fontsize=11, zorder=7,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+        )  # fmt: skip
         self.now = self._draw_curves()
         self._draw_legend()
         self.show(0)
@@ -184,7 +187,8 @@ class Picture:
         self.others.set_color(obstacles[discs:])
         self.goals.set_facecolor(list(np.where(shown.arrived[moment], ARRIVED, "white")))
         time_s = shown.time_s[moment]
-        self.clock.set_text(f"{time_s:.1f} s   {int(shown.moving[moment].sum())} in motion")
+        clock = f"{time_s:.1f} s   {int(shown.moving[moment].sum())} in motion"
+        self.clock.set_text(f"{clock}\n{shown.nearest(moment)}".rstrip())
         for line in self.now:
             line.set_xdata([time_s, time_s])
 

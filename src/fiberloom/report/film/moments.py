@@ -103,17 +103,22 @@ class Moments:
         return Surroundings(self.plane, self.bodies)
 
     @cached_property
-    def _gaps(self) -> tuple[Floats, Flags]:
+    def _gaps(self) -> tuple[Floats, Flags, Ints]:
         least_mm = np.full(len(self.time_s), np.inf)
+        nearest = np.zeros((len(self.time_s), 2), dtype=np.int64)
         goes = np.zeros(self.plane.n + len(self.bodies.obstacles), dtype=np.bool_)
         goes[self.rows] = [robot.moves for robot in self.plan.robots]
         near = np.zeros((len(self.time_s), self.plane.n + len(self.bodies.obstacles)), dtype=np.bool_)
         for k, here_rad in enumerate(deg_to_rad(self.angles_deg)):
             rows, others, gaps_mm = self.around.gaps_of_pairs_mm(here_rad)
-            least_mm[k] = gaps_mm[goes[rows] | goes[others]].min(initial=np.inf)
+            of_motion_mm = np.where(goes[rows] | goes[others], gaps_mm, np.inf)
+            least_mm[k] = of_motion_mm.min(initial=np.inf)
+            if len(rows):
+                which = of_motion_mm.argmin()
+                nearest[k] = rows[which], others[which]
             close = gaps_mm < NEAR_MM
             near[k, rows[close]] = near[k, others[close]] = True
-        return least_mm, near
+        return least_mm, near, nearest
 
     @property
     def least_gap_mm(self) -> Floats:
@@ -124,3 +129,11 @@ class Moments:
     def near(self) -> Flags:
         """(T, N + K) arms, then obstacles, that are nearer to another body than `NEAR_MM`."""
         return self._gaps[1]
+
+    def nearest(self, moment: int) -> str:
+        """The two with the least gap of this moment, and the gap; empty where there are none."""
+        gap_mm = self.least_gap_mm[moment]
+        if not np.isfinite(gap_mm):
+            return ""
+        one, other = (self.around.name(int(body)) for body in self._gaps[2][moment])
+        return f"nearest: {one} and {other.removeprefix('positioner ')}, {gap_mm:.3f} mm"
