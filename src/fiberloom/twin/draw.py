@@ -211,10 +211,10 @@ def _override(record: Records, overrides: Mapping[str, Any], where: str) -> Reco
 
 def _scatter(nominal: Records, rng: Rng) -> Records:
     record = nominal.copy()
-    for name, sd in RELATIVE_SD.items():
-        record[name] *= 1.0 + sd * held(rng)
-    for name, sd in ABSOLUTE_SD.items():
-        record[name] += sd * held(rng)
+    for (name, sd), off in zip(RELATIVE_SD.items(), held(rng, len(RELATIVE_SD)), strict=True):
+        record[name] *= 1.0 + sd * off
+    for (name, sd), off in zip(ABSOLUTE_SD.items(), held(rng, len(ABSOLUTE_SD)), strict=True):
+        record[name] += sd * off
     for name in PHASES:
         record[name] = rng.uniform(-np.pi, np.pi)
     return record
@@ -300,9 +300,10 @@ def _perfect(plant: Records, told: Records) -> Records:
 def _identified(plant: Records, told: Records, rng: Rng) -> Records:
     record = told.copy()
     truth = firmware_truth(plant)
+    off = iter(held(rng, 2 * len(truth)))
     for name, value in truth.items():
-        error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * held(rng)
-        record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * held(rng)
+        error = 1.0 + IDENTIFICATION_SD.get(name, 0.0) * next(off)
+        record[name] = value * error + IDENTIFICATION_ABSOLUTE_SD.get(name, 0.0) * next(off)
     _tell(record, control_gains(known_motor(record)))
     return record
 

@@ -9,6 +9,7 @@ of the nodes are the same gears, not an approximation. All angles in rad, arrays
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -105,14 +106,13 @@ def draw_gear(axis: int, rng: Rng, spectrum: GearSpectrum = "stages") -> Records
     """
     record = np.zeros((), GEAR_DTYPE)
     sizes = _sizes(axis, rng, spectrum)
-    rows = np.flatnonzero(np.isin(ORDERS, list(sizes)))
-    orders = ORDERS[rows]
+    rows, orders = _rows_of(frozenset(sizes))
     record["delta_rad"][rows] = [_wave(sizes[m], rng) for m in orders]
     shape = np.array([_wave(BACKLASH_SHAPE[m], rng) for m in orders])
     lowest_rad = rng.uniform(*BACKLASH_LOWEST_DEG) * RAD_PER_DEG
     highest_rad = rng.uniform(*BACKLASH_HIGHEST_DEG) * RAD_PER_DEG
     # stretched between two extremes: its mean was zero and its scale free
-    curve = shape.ravel() @ _turn(tuple(orders))
+    curve = shape.ravel() @ _turn(orders)
     stretch = (highest_rad - lowest_rad) / (curve.max() - curve.min())
     record["backlash_rad"][rows] = stretch * shape
     record["backlash_mean_rad"] = lowest_rad - stretch * curve.min()
@@ -132,9 +132,16 @@ def other_gears(numbers: Ints, seed: int, spectrum: GearSpectrum) -> Records:
     return out
 
 
-def held(rng: Rng) -> float:
-    """A standard normal, a ratio of deviation to sd, cut at three: acceptance refuses units beyond."""
-    return min(max(float(rng.standard_normal()), -3.0), 3.0)
+@lru_cache(maxsize=64)
+def _rows_of(orders: frozenset[int]) -> tuple[Ints, tuple[int, ...]]:
+    """Where ORDERS has these `orders`, and they themselves, rising."""
+    rows: Ints = np.flatnonzero(np.isin(ORDERS, list(orders)))
+    return rows, tuple(ORDERS[rows].tolist())
+
+
+def held(rng: Rng, count: int) -> list[float]:
+    """Standard normals, ratios of deviation to sd, cut at three: acceptance refuses units beyond."""
+    return [min(max(x, -3.0), 3.0) for x in rng.standard_normal(count).tolist()]
 
 
 def _sizes(axis: int, rng: Rng, spectrum: GearSpectrum) -> dict[int, float]:
@@ -155,9 +162,9 @@ def _lines(rng: Rng) -> dict[int, float]:
 
 
 def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
-    phase = rng.uniform(0.0, 2.0 * np.pi)
-    size = amplitude * (1.0 + 0.2 * held(rng))
-    return size * np.cos(phase), size * np.sin(phase)
+    phase = 2.0 * math.pi * rng.random()
+    size = amplitude * (1.0 + 0.2 * held(rng, 1)[0])
+    return size * math.cos(phase), size * math.sin(phase)
 
 
 @lru_cache(maxsize=64)
