@@ -80,6 +80,23 @@ def test_the_parked_do_not_bar_ways(monkeypatch):
     assert before.n_assigned == found.n_assigned
 
 
+def test_an_arm_that_stands_in_a_territory_bars_the_turns_past_it():
+    """Left out by its calibration where it stood out : a neighbour was to turn past it (seed 3)."""
+    i, j = PLANE.neighbour_pairs()[0]
+    arms, low = CobraArms.of(PLANE), stops_deg(PLANE)[0]
+    towards = arms.centre_mm[i] - arms.centre_mm[j]
+    at = arms.centre_mm[j] + 4.7 * towards / np.hypot(*towards)
+    out = arms.angles_deg(np.tile(at, (len(PLANE), 1)), np.zeros((len(PLANE), 2)))
+    standing = PLANE.with_offline([PLANE.positioner_id[j]], (out + low)[[j]])
+    # where the first link of i points at j
+    there = (np.degrees(np.arctan2(*-towards[::-1])) - arms.zero_deg[i, 0]) % 360.0
+    goal = low[i] + np.array([[0.3 * there, 10.0], [there + 100.0, 10.0]])
+    assert 60.0 < there < 250.0
+    rows = np.array([i, i])
+    assert way_rule(PLANE).blocks(rows, goal).tolist() == [Block.NONE, Block.NONE]
+    assert way_rule(standing).blocks(rows, goal).tolist() == [Block.NONE, Block.POCKET]
+
+
 def test_a_motor_that_scatters_gets_more_room_beyond_its_target():
     """No room beyond a cobra that goes out: one of phi 0.5 has 30 deg, and meets what it would not else."""
     scatter = np.full((len(PLANE), 2), 0.05)

@@ -97,6 +97,26 @@ def test_targets_that_touch_are_refused_by_name():
     assert not plan.robots[j].moves
 
 
+def test_a_cobra_that_stands_away_from_its_stops_is_an_obstacle_where_the_field_has_it():
+    """The search of its stops has left it out (seed 3 of all units: phi at 175 deg, believed folded)."""
+
+    async def go():
+        rig = Rig()
+        await rig.drive.connect()
+        arms, (i, j), low = rig.drive.arms, rig.drive.stages.check.pairs[0], stops_deg(rig.plane)[0]
+        between = np.tile(0.5 * (arms.centre_mm[i] + arms.centre_mm[j]), (N, 1))
+        there = arms.angles_deg(between, np.zeros((N, 2)))
+        around = rig.plane.with_offline([rig.plane.positioner_id[j]], (there + low)[[j]])
+        goal = low.copy()
+        goal[i] += there[i]
+        programme = await rig.drive.prepare(Wanted(around, low, goal, np.zeros((N, 2))))
+        return rig.drive, programme.plan, i, j, there
+
+    drive, plan, i, j, there = asyncio.run(go())
+    np.testing.assert_allclose(drive.expected_deg[j], there[j], atol=1e-9)
+    assert plan.refused == {i + 1: f"its target would touch cobra {j + 1}"}
+
+
 def test_cobras_of_a_board_without_power_are_told_and_stay():
     async def go():
         rig = Rig(unpowered=[3])

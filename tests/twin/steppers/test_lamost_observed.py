@@ -22,10 +22,18 @@ def test_one_weighed_correction_brings_all_within_40_um(tmp_path):
     summary, _ = observed(tmp_path / "run")
     blind, corrected = (move["healthy"] for move in summary["moves"])
     assert 35.0 < blind["rms_um"] < 60.0  # gears without a table: 46 um
-    # the mean of three images of 20 um is 11.5 um; weighed with the blind move, and half steps: 11 um
-    assert corrected["rms_um"] < 13.5
+    # the mean of four images of 20 um is 10 um; weighed with the blind move, and half steps: 10 um
+    assert corrected["rms_um"] < 11.8
     assert summary["n_within_requirement"] >= 0.99 * summary["n_assigned"]
     assert summary["contacts_true"] == 0
+
+
+def test_so_many_images_are_taken_that_a_whole_field_is_within_the_requirement():
+    """A fibre is sent as far off as it was measured: of a full field one in fewer than 1 % of all fields."""
+    instrument = PLANE.instrument
+    mean_um = instrument.metrology.noise_rms_um / np.sqrt(instrument.operation.images_max)
+    beyond = np.exp(-((instrument.operation.requirement_um / mean_um) ** 2))  # 2-D normal
+    assert instrument.layout.n_positioners * beyond < 0.01
 
 
 def test_a_plain_correction_is_worse(tmp_path):
@@ -62,7 +70,7 @@ def test_a_field_is_observed_through_images(tmp_path):
     summary, source = observed(tmp_path / "run", "dark=1", camera="image", pages="none")
     blind, corrected = (move["healthy"] for move in summary["moves"])
     assert 35.0 < blind["rms_um"] < 60.0
-    assert corrected["rms_um"] < 13.5  # as with points of 20 um
+    assert corrected["rms_um"] < 11.8  # as with points of 20 um
     assert summary["n_within_requirement"] >= 0.97 * summary["n_assigned"]
     assert summary["faults"]["dark"] == [source.faults[0].positioner_id]
     assert summary["contacts_true"] == 0

@@ -106,6 +106,8 @@ class CobraDrive:
         self._moved, self._stood = np.ones(len(plane), dtype=bool), np.zeros(len(plane), dtype=bool)
         self._still, self._told_mm = np.zeros(len(plane), dtype=np.int64), np.zeros(len(plane))
         self._seen_mm = np.full((len(plane), 2), np.nan)
+        self._standing_deg = np.full((len(plane), 2), np.nan)
+        """(N, 2) alpha and beta of those that do not move, as told; NaN of the others."""
         self._seed = 0
         self._at_stops = False
         """All have searched their stops, and none was told to move since."""
@@ -231,6 +233,7 @@ class CobraDrive:
 
     def _programme(self, goal_deg: Floats, here_deg: Floats, obstacles: FocalPlane) -> Programme:
         begun_s, low = time.thread_time(), stops_deg(self.plane)[0]
+        self._know_standing(obstacles)
         goal = goal_deg - low
         active = np.any(np.abs(goal_deg - here_deg) > 0.0, axis=1) & ~obstacles.offline
         goal = np.where(active[:, None], goal, self.tracker.place_deg)
@@ -261,6 +264,18 @@ class CobraDrive:
         if not np.array_equal(discs_mm, self._discs_mm):
             self._discs_mm = discs_mm
             self.stages = Stages.of(self.arms, discs_mm, self.settings.stages, self.tracker.dots_mm)
+
+    def _know_standing(self, obstacles: FocalPlane) -> None:
+        """Cobras that do not move are where the field has them, by an image before its first move.
+
+        What was told once is not told again: images of moves have said more since.
+        """
+        told_deg = np.where(obstacles.offline[:, None], obstacles.offline_position_deg, np.nan)
+        news = obstacles.offline & ~np.isclose(told_deg, self._standing_deg, rtol=0.0).all(axis=1)
+        self._standing_deg = told_deg
+        place = np.clip(told_deg - stops_deg(self.plane)[0], 0.0, self.arms.range_deg)
+        news &= (np.abs(place - self.tracker.place_deg) > HOME_SIGMA_DEG).any(axis=1)
+        self.tracker.stand(news, place, HOME_SIGMA_DEG)
 
     def _refused(self, goal: Floats, active: Flags) -> dict[int, str]:
         """Cobras that would touch another at their goals, one of each two: the reason by number."""

@@ -19,6 +19,8 @@ FIRST_MEDIAN, FIRST_LOG_SD = 0.12, 0.8
 """[A] How they are distributed before any motor was seen."""
 FIRST_MOTORS = 100.0
 """[A] So many motors that belief counts as."""
+SIGMAS = 3.5
+"""Of a normal distribution: what a motor may miss by more as rarely as that is not provided for."""
 ROUNDS = 3
 """Of expectation and maximisation after each image."""
 MOST_SURPRISE = 36.0

@@ -14,7 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fiberloom.drive.piezo.cobras import CobraArms
-from fiberloom.drive.piezo.swept import SweptCheck, box_of
+from fiberloom.drive.piezo.scatter import SIGMAS
+from fiberloom.drive.piezo.swept import MARGIN_MM, SweptCheck, box_of
 from fiberloom.drive.piezo.ways_out import ROOM_DEG as ROOM_BEYOND_DEG
 from fiberloom.drive.piezo.ways_out import ROOM_OF_SCATTER_DEG, leg_share
 from fiberloom.typing import Flags, Floats, Ints
@@ -82,7 +83,7 @@ class Motors(Protocol):
 class StageSettings:
     """How careful moves are."""
 
-    sigmas: float = 3.5
+    sigmas: float = SIGMAS
     """Half of a tube, in standard deviations of where a move ends."""
     least_share: float = 0.05
     """The same, of the way: no motor is believed to be better."""
@@ -90,8 +91,8 @@ class StageSettings:
     """[A] A cobra whose theta may end farther off than this turns it first, within its territory."""
     dot_margin_mm: float = 0.1
     """A fibre that turns stays so far from its dot."""
-    margin_mm: float = 0.06
-    """Between territories, for camera and calibration: above what the swept check takes for a meeting."""
+    margin_mm: float = MARGIN_MM
+    """Between territories."""
 
 
 class Chosen(NamedTuple):
@@ -126,7 +127,7 @@ class Stages:
     """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
 
     def __post_init__(self) -> None:
-        self.phi_in_deg = self.arms.phi_within_deg(self._territory_mm())
+        self.phi_in_deg = self.arms.phi_within_deg(self.check.territory_mm(self.settings.margin_mm))
 
     @classmethod
     def of(
@@ -303,17 +304,6 @@ class Stages:
         """(n,) cobras within their territories, at (n, 2) deg from the stops, known to `doubt` (n, 2)."""
         inside: Flags = here[:, PHI] + self.settings.sigmas * doubt[:, PHI] <= self.phi_in_deg
         return inside
-
-    def _territory_mm(self) -> Floats:
-        """(n,) how far from its centre a fibre may be so that no neighbour in its own is touched."""
-        arms, (i, j) = self.check.arms, self.check.pairs.T
-        gap = np.hypot(*(arms.centre_mm[i] - arms.centre_mm[j]).T) - arms.radius_mm[i] - arms.radius_mm[j]
-        gap -= self.settings.margin_mm
-        fixed = j >= self.check.cobras
-        room = np.full(len(arms.centre_mm), np.inf)
-        np.minimum.at(room, i, np.where(fixed, gap, 0.5 * gap))
-        np.minimum.at(room, j, 0.5 * gap)
-        return room[: self.check.cobras]
 
     def _approach(self, goal: Floats, active: Flags) -> Floats:
         """Goals (n, 2) in deg with theta turned aside where phi could not go out past a neighbour's goal.

@@ -20,6 +20,9 @@ from fiberloom.units import deg_to_rad
 FINEST_MM = 0.04
 """Boxes that move an arm by less are not halved: they count as a meeting."""
 
+MARGIN_MM = 0.06
+"""Between territories, for camera and calibration: above what counts as a meeting."""
+
 
 def box_of(first_deg: Floats, last_deg: Floats) -> Floats:
     """(n, 2, 2) boxes from low to high of theta and phi, of two corners (n, 2) in deg."""
@@ -43,6 +46,19 @@ class SweptCheck:
         reach = both.link_mm.sum(axis=1) + both.radius_mm
         pairs = pairs_within(both.centre_mm, reach, 0.0)
         return cls(both, n, pairs[pairs[:, 0] < n])
+
+    def territory_mm(self, margin_mm: float = MARGIN_MM) -> Floats:
+        """(n,) how far from its centre a fibre may be so that no neighbour in its own is touched.
+
+        `margin_mm`: kept between two territories.
+        """
+        arms, (i, j) = self.arms, self.pairs.T
+        gap = np.hypot(*(arms.centre_mm[i] - arms.centre_mm[j]).T) - arms.radius_mm[i] - arms.radius_mm[j]
+        gap -= margin_mm
+        room = np.full(len(arms.centre_mm), np.inf)
+        np.minimum.at(room, i, np.where(j >= self.cobras, gap, 0.5 * gap))
+        np.minimum.at(room, j, 0.5 * gap)
+        return room[: self.cobras]
 
     def meeting(self, first_deg: Floats, second_deg: Floats, which: Ints | None = None) -> Flags:
         """Which pairs could meet.

@@ -73,6 +73,15 @@ class Tracker:
         self._cost[:, 0] = 0.0
         self._cross[:] = 0.0
 
+    def stand(self, rows: Flags, place_deg: Floats, sigma_deg: float) -> None:
+        """Cobras `rows` (n,) are at `place_deg` (n, 2), known to `sigma_deg`, whatever was believed."""
+        both = np.repeat(rows, 2)
+        self.law.place_deg = np.where(both, place_deg.ravel(), self.place_deg.ravel())
+        self.law.place_variance = np.where(both, sigma_deg**2, self.law.place_variance)
+        self._poses[rows] = place_deg[rows, None]
+        self._cost[rows] = np.where(np.arange(POSES) == 0, 0.0, IMPOSSIBLE)
+        self._cross[rows] = 0.0
+
     def see(self, xy_mm: Floats, camera_um: float | Floats) -> None:
         """An image: fibres at `xy_mm` (n, 2), NaN where not seen, with an error in um per axis."""
         seen = np.asarray(np.isfinite(xy_mm).all(axis=1), dtype=np.bool_)

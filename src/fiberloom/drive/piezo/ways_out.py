@@ -1,7 +1,8 @@
 """Which targets cobras may have so that none has to wait for another: the drive's rule for an assignment.
 
-A cobra goes out along phi with theta at its target. Where no way out crosses another one, nor an arm at its
-target, all can go at once. Implements `fiberloom.assignment.candidates.WayRule`.
+A cobra turns theta within its territory, then goes out along phi. Where no way out crosses another one, nor
+an arm at its target, all can go at once. An arm that does not move may stand in the territory of a neighbour:
+then it bars turns too. Implements `fiberloom.assignment.candidates.WayRule`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 
 from fiberloom.assignment.candidates import Block
 from fiberloom.drive.piezo.cobras import CobraArms, stops_deg
+from fiberloom.drive.piezo.learning import LearningSettings
+from fiberloom.drive.piezo.scatter import SIGMAS
 from fiberloom.drive.piezo.swept import SweptCheck, box_of
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Flags, Floats, Ints
@@ -49,6 +52,10 @@ class WaysOut:
     """(n, 3) x, y, radius in mm of the dot of each; None: there are none."""
     room_deg: Floats
     """(n, 2) beside theta and beyond phi of a target."""
+    turn_miss: Floats
+    """(n,) share of its way that a first turn of theta may miss its end by."""
+    within_deg: Floats
+    """(n,) the most open phi within the territory."""
 
     @classmethod
     def of(cls, plane: FocalPlane, scatter: Floats | None = None) -> WaysOut:
@@ -58,10 +65,12 @@ class WaysOut:
         calibration; NaN, or None: not known.
         """
         low, room = stops_deg(plane)[0], np.full((len(plane), 2), ROOM_DEG)
-        if scatter is not None:
-            room[:, 1] = np.fmax(ROOM_DEG, ROOM_OF_SCATTER_DEG * scatter[:, 1])
-        check = SweptCheck.of(CobraArms.of(plane), plane.fiducials)
-        return cls(low, check, plane.offline, plane.offline_position_deg - low, plane.dots_mm, room)
+        scatter = np.full(room.shape, np.nan) if scatter is None else scatter
+        room[:, 1] = np.fmax(ROOM_DEG, ROOM_OF_SCATTER_DEG * scatter[:, 1])
+        arms = CobraArms.of(plane)
+        check, stands_deg = SweptCheck.of(arms, plane.fiducials), plane.offline_position_deg - low
+        miss, within = _turn_miss(scatter[:, 0]), arms.phi_within_deg(check.territory_mm())
+        return cls(low, check, plane.offline, stands_deg, plane.dots_mm, room, miss, within)
 
     def blocks(self, positioner: Ints, goal_deg: Floats) -> Ints:
         """(C,) `Block.POCKET` where the way out meets what does not move, `Block.DARK` behind a dot.
@@ -81,7 +90,8 @@ class WaysOut:
         return behind
 
     def _meets_what_stands(self, positioner: Ints, goal_deg: Floats) -> Flags:
-        n, wide = self.check.cobras, self._boxes(positioner, goal_deg)
+        """(C,) candidates that something bars which does not move, on the way out or in the turn before."""
+        n = self.check.cobras
         i, j = self.check.pairs.T
         still = np.append(self.stands, np.ones(len(self.check.arms) - n, dtype=bool))
         own, other = np.concatenate([i, j[j < n]]), np.concatenate([j, i[j < n]])
@@ -96,7 +106,8 @@ class WaysOut:
         at[there < n] = self.stands_deg[there[there < n]]
         pairs = np.column_stack([positioner[row], there])
         out = np.zeros(len(positioner), dtype=bool)
-        out[row[self.check.boxes_meet(pairs, np.stack([wide[row], box_of(at, at)], axis=1))]] = True
+        for boxes in (self._boxes(positioner, goal_deg), self._turns(positioner, goal_deg)):
+            out[row[self.check.boxes_meet(pairs, np.stack([boxes[row], box_of(at, at)], axis=1))]] = True
         return out
 
     def crossing(self, positioner: Ints, goal_deg: Floats, first: Ints, second: Ints) -> Flags:
@@ -114,3 +125,19 @@ class WaysOut:
         room = self.room_deg[positioner]
         low = np.column_stack([goal[:, 0] - room[:, 0], np.zeros(len(goal))])
         return box_of(np.clip(low, 0.0, top), np.clip(goal + room, 0.0, top))
+
+    def _turns(self, positioner: Ints, goal_deg: Floats) -> Floats:
+        """(C, 2, 2) of the first turn from the stop, where a field begins, within the territory."""
+        goal, top = goal_deg - self.low_deg[positioner], self.check.arms.range_deg[positioner]
+        theta = goal[:, 0] * (1.0 + self.turn_miss[positioner]) + ROOM_DEG
+        high = np.column_stack([theta, self.within_deg[positioner]])
+        return box_of(np.zeros_like(goal), np.clip(high, 0.0, top))
+
+
+def _turn_miss(scatter: Floats) -> Floats:
+    """(n,) by scatter (n,), NaN where it was not measured: as of a map that is known but for its places."""
+    known = LearningSettings()
+    drift = known.measured_gain_sigma**2 + known.drift_sigma**2
+    first = known.gain_sigma**2 + known.drift_sigma**2
+    out: Floats = SIGMAS * np.sqrt(np.where(np.isfinite(scatter), np.nan_to_num(scatter) ** 2 + drift, first))
+    return out
