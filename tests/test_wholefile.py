@@ -1,6 +1,7 @@
 """A file is there whole or not at all."""
 
 import errno
+import os
 
 import pytest
 
@@ -43,3 +44,18 @@ def test_a_full_disk_is_named_with_the_file(tmp_path):
         raise OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(InputError, match=r"missing/a\.csv: cannot be written \(No such file"):
         write_whole(tmp_path / "missing" / "a.csv", "text")
+
+
+def test_a_folder_or_a_device_does_not_lose_its_name(tmp_path):
+    """As root a device could be replaced: /dev/full was, by trajectories."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    (tmp_path / "link").symlink_to(pipe)
+    for name, why in (
+        ("pipe", "it is a device or a pipe"),
+        ("link", "it is a device"),
+        ("", "it is a folder"),
+    ):
+        with pytest.raises(InputError, match=rf"cannot be written \({why}.*\); give the name of a file"):
+            write_whole(tmp_path / name, "text")
+    assert pipe.is_fifo()

@@ -101,9 +101,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--generated", action="store_true", help="without the real array")
     parser.add_argument("--alone", action="store_true", help="without kaiju")
-    parser.add_argument(
-        "--limit", type=float, default=1800.0, help="s of real time that kaiju has for a pair"
-    )
+    parser.add_argument("--limit", type=float, default=1800.0, help="CPU s that kaiju has for a pair")
     parser.add_argument(
         "--keep", type=Path, help="folder where each pair is kept; goes on where it was stopped"
     )

@@ -7,10 +7,14 @@ towards the lattice, as in production; the second is carried out backwards.
 from __future__ import annotations
 
 import json
+import math
 import os
+import resource
+import signal
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +29,10 @@ ROOT = Path(__file__).parents[2]
 PYTHON = ROOT / ".venv-kaiju" / "bin" / "python"
 WORKER = Path(__file__).with_name("peer_worker.py")
 POINTS = {"met": METROLOGY, "boss": "BOSS", "ap": "APOGEE"}
+_KILLED_S = 5
+"""Beyond its limit."""
+_HANGS = 20
+"""Times as much real time as processor time: other work takes cores, and one that waits takes no time."""
 DECIMALS_S = 9
 """Times that differ by less are the same."""
 Axes = dict[str, list[list[float]]]
@@ -90,27 +98,32 @@ def job_of(
 
 
 def asked(plane: FocalPlane, job: dict[str, Any], limit_s: float, python: Path = PYTHON) -> Answer:
-    """One reconfiguration; where it takes longer than `limit_s` of real time, nobody arrives."""
+    """One reconfiguration; where it takes more than `limit_s` of processor time, whole s, nobody arrives."""
     with tempfile.TemporaryDirectory() as folder:
         names = [Path(folder) / name for name in ("job.json", "out.json")]
         names[0].write_text(json.dumps(job))
         words = [str(python), str(WORKER), *map(str, names)]
         alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": ""}
+        limit_s = math.ceil(limit_s)
+        limits = partial(resource.setrlimit, resource.RLIMIT_CPU, (limit_s, limit_s + _KILLED_S))
         try:
             done = subprocess.run(
-                words, env=alone, capture_output=True, text=True, check=False, timeout=limit_s
-            )
+                words, env=alone, capture_output=True, text=True, check=False,
+                preexec_fn=limits, timeout=_HANGS * limit_s,
+            )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return _none(plane, f"not ready after {limit_s:g} s")
+            return _none(plane, f"not ready after {_HANGS * limit_s} s of real time")
+        if done.returncode == -signal.SIGXCPU:
+            return _none(plane, f"not ready after {limit_s} CPU s", float(limit_s))
         if done.returncode:  # its memory grows with positioners and time: some GB for thousands
             said = done.stderr.strip().splitlines()[-1:]
             return _none(plane, f"ended with {done.returncode} {' '.join(said)}".strip())
         return answer_of(plane, json.loads(names[1].read_text()), job["buffer_mm"])
 
 
-def _none(plane: FocalPlane, reason: str) -> Answer:
+def _none(plane: FocalPlane, reason: str, cpu_s: float = 0.0) -> Answer:
     """Nobody arrives."""
-    return Answer(dict.fromkeys(plane.positioner_id.tolist(), reason), 0.0, 0.0, None, None)
+    return Answer(dict.fromkeys(plane.positioner_id.tolist(), reason), cpu_s, 0.0, None, None)
 
 
 def answer_of(plane: FocalPlane, out: dict[str, Any], buffer_mm: float) -> Answer:

@@ -29,7 +29,7 @@ def row(array: str, buffer_mm: float, who: str, lines: list[Line]) -> Line:
     out["positioners"] = lines[0]["positioners"]
     out["motion_s"] = spread(line["motion_s"] for line in solved)
     out["ratio"] = spread(line["motion_s"] / line["bound_s"] for line in solved)
-    # what fails costs as well; what was stopped does not tell its CPU time
+    # what fails costs as well; what was stopped at its limit has cost that, what died does not tell
     out["cpu_s"] = spread(line["cpu_s"] for line in lines if line["cpu_s"] > 0.0)
     out["smooth_cpu_s"] = spread(line["smooth_cpu_s"] for line in solved if "smooth_cpu_s" in line)
     for key in ("gap_um", "raw_gap_um"):
@@ -75,6 +75,7 @@ def growth(rows: list[Line]) -> list[str]:
                 for one in rows
                 if (one["who"], one["buffer_mm"]) == (who, buffer_mm)
                 and one["cpu_s"]
+                and one["solved"]  # else it may be no more than the limit
                 and one["array"].startswith("hexagon")
             ]
             numbers = [one["positioners"] for one in sizes]

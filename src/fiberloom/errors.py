@@ -30,4 +30,4 @@ class InputError(ValueError):
 
 
 class StoppedError(RuntimeError):
-    """Stopped by another process, or because another one has taken the array; all that moved is at rest."""
+    """Stopped by the operator or by another process, or because that has taken the array; nothing moves."""

@@ -32,7 +32,8 @@ def whole(path: str | Path, *, folders: bool = False) -> Iterator[Path]:
     Raises
     ------
     InputError
-        The disk is full, or the folder cannot be written; names the file.
+        The disk is full, the folder cannot be written, or the name is that of a folder, a device or a pipe,
+        whose place no file may take; names the file.
 
     Examples
     --------
@@ -43,6 +44,7 @@ def whole(path: str | Path, *, folders: bool = False) -> Iterator[Path]:
     'all of it'
     """
     path = Path(path)
+    require_replaceable(path)
     part = path.with_name(f".{os.getpid()}-{path.name}")
     try:
         if folders:
@@ -54,6 +56,14 @@ def whole(path: str | Path, *, folders: bool = False) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink()
+
+
+def require_replaceable(path: Path) -> None:
+    """Raises InputError where a folder, a device or a pipe has the name of a file that is to be written."""
+    if path.is_dir():
+        raise InputError(f"{path}: cannot be written (it is a folder); give the name of a file")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: cannot be written (it is a device or a pipe); give the name of a file")
 
 
 def write_whole(path: str | Path, text: str) -> None:

@@ -224,12 +224,29 @@ def test_a_folder_is_proven_to_be_writable_and_left_empty(tmp_path):
 
 def test_a_file_is_proven_to_be_writable_and_keeps_its_content(tmp_path):
     path = tmp_path / "new" / "result.json"
-    assert prepare_file(path).exists()
+    prepare_file(path)
+    assert list(path.parent.iterdir()) == []  # what fails later leaves nothing empty behind
     path.write_text("kept")
     prepare_file(path)
     assert path.read_text() == "kept"
-    with pytest.raises(InputError, match=r"cannot write there \(Is a directory\); choose another place"):
+    with pytest.raises(InputError, match=r"--out .*new: cannot be written \(it is a folder\); give the name"):
         prepare_file(tmp_path / "new")
+    with pytest.raises(InputError, match=r"--plot .*result.json/x: cannot write there"):
+        prepare_file(path / "x", "--plot")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "elsewhere")
+    prepare_file(link)
+    assert link.is_symlink()
+
+
+def test_a_file_that_is_read_is_not_written(tmp_path):
+    read = tmp_path / "a.csv"
+    read.write_text("kept")
+    (tmp_path / "b.csv").symlink_to(read)
+    for path in (read, tmp_path / "." / "a.csv", tmp_path / "b.csv"):
+        with pytest.raises(InputError, match=r"--out .*csv: is read by this command; give another name"):
+            prepare_file(path, inputs=(None, tmp_path / "none.csv", read))
+    prepare_file(tmp_path / "c.csv", inputs=(read,))
 
 
 def test_a_table_for_a_file_keeps_its_headings_whole(capsys):

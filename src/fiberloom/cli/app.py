@@ -225,7 +225,9 @@ def main() -> None:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error.format_message())
             sys.exit(0)
-        _fail(f"{error.format_message()}; see `fiberloom --help`", BAD_INPUT)
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "fiberloom"
+        _fail(f"{error.format_message().rstrip('.')}; see `{command} --help`", BAD_INPUT)
     except StoppedError as error:
         _fail(str(error), INTERRUPTED)
     except RuntimeError as error:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-from fiberloom.errors import InputError
+from fiberloom.errors import InputError, StoppedError
 
 if TYPE_CHECKING:
     from fiberloom.instruments import FocalPlane
@@ -275,8 +275,19 @@ def require_instrument(name: str) -> None:
 
 def require_file(path: Path | None, hint: str = "") -> None:
     """Raises InputError for a file that does not exist; `hint`: what to do, for the message."""
+    if path is not None and path.is_dir():
+        raise InputError(f"{path}: is a folder; give the name of a file")
     if path is not None and not path.is_file():
         raise InputError(f"{path}: no such file{hint and '; ' + hint}")
+
+
+@contextmanager
+def interruptible(kept: str) -> Iterator[None]:
+    """After Ctrl-C the command says what is `kept`, not where measurements are: it has none."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise StoppedError(f"interrupted; {kept}") from None
 
 
 @contextmanager

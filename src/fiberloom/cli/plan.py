@@ -14,9 +14,9 @@ from fiberloom.cli.options import (
     JsonOptions,
     PlaneOptions,
     SupplyOptions,
+    interruptible,
     naming,
     require_file,
-    require_folder,
 )
 from fiberloom.cli.terminal import Waiting, waiting
 from fiberloom.errors import InputError
@@ -82,14 +82,17 @@ def assign(options: AssignOptions) -> int:
 
     Exit code 1 where no positioner has a target.
     """
+    from fiberloom.report.folder import prepare_file
+
     options.check_plane()
     require_file(options.start)
     wanted = options.read_targets(options.targets, options.instrument)
-    require_folder(options.out.parent)
-    plane = options.plane()
-    with waiting(options.as_json) as wait:
-        found, motion = _assigned(options, plane, wanted, wait)
     left_out = options.out.with_name(UNASSIGNED)
+    for path in (options.out, left_out):
+        prepare_file(path, inputs=(options.targets, options.start, options.field))
+    plane = options.plane()
+    with interruptible("nothing was written"), waiting(options.as_json) as wait:
+        found, motion = _assigned(options, plane, wanted, wait)
     _write(options, plane, wanted, found)
     options.show(
         {
@@ -231,12 +234,15 @@ class PlanOptions(AtOnceOptions, JsonOptions):
             require_film("--animate", self.animate)
 
     def prepare(self) -> None:
-        """Makes the folders of what is written, before anything long is started."""
-        from fiberloom.report.folder import prepare_folder
+        """Proves that what is written can be, and is not what is read, before anything long starts."""
+        from fiberloom.report.folder import prepare_file
 
-        prepare_folder(self.out.parent)
-        if self.animate is not None:
-            prepare_folder(self.animate.parent, "--animate")
+        prepare_file(self.out, inputs=(self.start, self.goal))
+        if self.animate is None:
+            return
+        prepare_file(self.animate, "--animate", (self.start, self.goal))
+        if self.animate.resolve() == self.out.resolve():
+            raise InputError(f"--animate {self.animate}: is --out too; give another name")
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,7 +358,7 @@ def plan(options: PlanOptions) -> int:
     plane = options.plane()
     start_deg, goal_deg = (planning.read_configuration(f, plane) for f in (options.start, options.goal))
     options.prepare()
-    with waiting(options.as_json) as wait:
+    with interruptible("nothing was written"), waiting(options.as_json) as wait:
         found = _planned(options, plane, (start_deg, goal_deg), wait)
     fed, supply = options.fed(plane, [found.plan])
     if not (found.checked.ok and fed):
@@ -365,7 +371,8 @@ def plan(options: PlanOptions) -> int:
     report = found.report() | supply | {"trajectories": str(options.out)}
     if options.animate is not None:
         try:
-            with waiting(options.as_json) as wait:
+            kept = f"the trajectories are in {options.out}, the film is not made"
+            with interruptible(kept), waiting(options.as_json) as wait:
                 found.film(options.animate, wait)
         except InputError:  # the trajectories are there all the same
             options.show(report | {"film": "not made"})

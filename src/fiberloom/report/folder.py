@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import uuid
+from collections.abc import Sequence
 from pathlib import Path
 
 from fiberloom.errors import InputError
-from fiberloom.wholefile import write_whole
+from fiberloom.wholefile import require_replaceable, write_whole
 
 
 def prepare_folder(out: Path, option: str = "--out") -> Path:
@@ -27,15 +28,29 @@ def prepare_folder(out: Path, option: str = "--out") -> Path:
     return out
 
 
-def prepare_file(path: Path) -> Path:
-    """Make the folder of a file and prove that the file can be written; what is in it stays."""
+def prepare_file(path: Path, option: str = "--out", inputs: Sequence[Path | None] = ()) -> Path:
+    """Make the folder of a file and prove that the file can be written; what is in it stays.
+
+    `option`: what named it, for the message of the InputError; `inputs`: what the command reads, of which it
+    may be none.
+    """
+    try:
+        require_replaceable(path)
+    except InputError as error:
+        raise InputError(f"{option} {error}") from None
+    for read in inputs:
+        if read is not None and path.exists() and read.exists() and path.samefile(read):
+            raise InputError(f"{option} {path}: is read by this command; give another name")
+    there = path.exists() or path.is_symlink()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a"):
             pass
+        if not there:
+            path.unlink()
     except OSError as error:
         raise InputError(
-            f"--out {path}: cannot write there ({error.strerror or error}); choose another place"
+            f"{option} {path}: cannot write there ({error.strerror or error}); choose another place"
         ) from None
     return path
 

@@ -218,6 +218,42 @@ def test_a_film_that_cannot_be_is_refused_before_planning(
     assert not (tmp_path / "t.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--out", "start.csv"), "--out start.csv: is read by this command; give another name"),
+        (("--out", "."), "--out .: cannot be written (it is a folder); give the name of a file"),
+        (("--animate", "x.gif", "--out", "x.gif"), "--animate x.gif: is --out too; give another name"),
+        (("--start", "."), ".: is a folder; give the name of a file"),
+        (("--buffer", "wide"), "see `fiberloom plan --help`"),
+    ],
+)
+def test_what_is_written_is_looked_at_before_planning(fl, ends, not_planned, monkeypatch, words, why):
+    monkeypatch.chdir(ends)
+    kept = (ends / "start.csv").read_bytes()
+    code, out, err = fl("plan", "--positioners", N, "--start", "start.csv", "--goal", "goal.csv", *words)
+    assert (code, out) == (2, "")
+    assert err.strip().endswith(why)
+    assert (ends / "start.csv").read_bytes() == kept
+
+
+def test_after_ctrl_c_it_says_what_there_is(planned, tmp_path, monkeypatch, brief):
+    def stopped(*arguments, **settings):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(planning, "plan", stopped)
+        code, _, err = planned()
+    assert (code, err.splitlines()[-1]) == (130, "fiberloom: interrupted; nothing was written")
+    assert not (tmp_path / "t.json").exists()
+    monkeypatch.setattr(film, "write_film", stopped)
+    code, _, err = planned("--animate", tmp_path / "film.gif")
+    file = tmp_path / "t.json"
+    said = f"fiberloom: interrupted; the trajectories are in {file}, the film is not made"
+    assert (code, err.splitlines()[-1]) == (130, said)
+    assert file.exists()
+
+
 def test_a_film_that_fails_takes_nothing_from_the_plan(planned, tmp_path, monkeypatch):
     def full(path, shown, title, progress):
         raise InputError(f"{path}: cannot be written (No space left on device)")

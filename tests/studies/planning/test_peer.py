@@ -73,10 +73,12 @@ def test_why_there_is_no_peer(tmp_path):
     [
         ("exit 9", 60.0, "ended with 9"),
         ("echo oh >&2; exit 1", 60.0, "oh"),
-        ("exec sleep 60", 0.2, "not ready"),
+        ("while :; do :; done", 1.0, "not ready after 1 CPU s"),
+        ("exec sleep 60", 1.0, "not ready after 2 s of real time"),
     ],
 )
-def test_a_peer_that_dies_or_hangs_has_failed_for_all(tmp_path, script, limit_s, why):
+def test_a_peer_that_dies_or_hangs_has_failed_for_all(tmp_path, monkeypatch, script, limit_s, why):
+    monkeypatch.setattr(peer, "_HANGS", 2 if "sleep" in script else 60)
     python = tmp_path / "python"
     python.write_text(f"#!/bin/sh\n{script}\n")
     python.chmod(0o755)
@@ -145,6 +147,8 @@ def test_rows_count_failures_and_growth_is_a_power():
     sizes = [one | {"positioners": n, "cpu_s": {"median": n / 500}} for n in (500, 600, 2000)]
     assert "N^1.00" in rows.growth(sizes)[0]
     assert rows.growth(sizes[:2]) == []
+    late = sizes[2] | {"solved": 0}
+    assert rows.growth([*sizes[:2], late]) == []
 
 
 def test_kaiju_itself():
