@@ -38,7 +38,7 @@ class Planner {
     // None if a positioner would have to be given up that may have a way if none of them is ever late.
     std::optional<PlanResult> run() {
         goals_.settle();
-        for (round_ = 0; round_ < give_up_rounds && !too_much_asked_; ++round_)
+        while (round_ < give_up_rounds && !too_much_asked_)
             if (find_paths()) return PlanResult{motions_, goals_.refused(), statistics_, approaches_};
         if (too_much_asked_) return std::nullopt;
         return none_moves();
@@ -57,6 +57,8 @@ class Planner {
     bool spend(const PathSet &paths);
     void give_up(const PathSet &paths);
     void give_up_some(const PathSet &paths);
+    void give_up_locked(const PathSet &paths, const List<Repair::Pair> &pairs);
+    bool lock_each_other(PositionerIndex i, PositionerIndex j);
     void keep(const PathSet &paths);
     int last_step(const PathSet &paths) const;
     PlanResult none_moves();
@@ -77,6 +79,7 @@ class Planner {
     bool too_much_asked_ = false;
     bool trial_ = false; // the round has grids that are finer at their ends: where it fails the next one
                          // begins as if it had not been
+    List<std::pair<PositionerIndex, PositionerIndex>> not_locked_; // as their goals are
     int round_ = 0;
 };
 
@@ -153,13 +156,17 @@ bool Planner::find_paths() {
     const int wanted = paths.steps();
     const int last = static_cast<int>(settings_.last_deadline * wanted) + 20;
     take_over(paths);
-    Repair repair(paths, settings_, statistics_, round_ == 0 ? 1.0 : effort_again,
-                  round_ < static_cast<int>(std::size(begins_anew)) ? begins_anew[round_] : 0);
+    Repair repair(
+        paths, settings_, statistics_,
+        {round_ == 0 ? 1.0 : effort_again,
+         round_ < static_cast<int>(std::size(begins_anew)) ? begins_anew[round_] : 0,
+         [&](PathIndex m, PathIndex n) { return lock_each_other(positioner_of_[m], positioner_of_[n]); }});
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {
         statistics_.expansions += repair.expansions();
         goals_.settle();
+        ++round_;
         if (!std::exchange(trial_, false)) keep_ways(std::move(paths));
         return false;
     }
@@ -173,7 +180,12 @@ bool Planner::find_paths() {
         keep(paths);
     } else {
         const bool trial = std::exchange(trial_, false);
-        if (!spend(paths)) give_up(paths);
+        if (!repair.locked().empty()) {
+            give_up_locked(paths, repair.locked());
+        } else {
+            ++round_;
+            if (!spend(paths)) give_up(paths);
+        }
         if (!trial) keep_ways(std::move(paths));
     }
     return free;
@@ -219,6 +231,29 @@ void Planner::give_up_some(const PathSet &paths) {
         goals_.send_to_safe_place(positioner_of_[m], Refusal::no_way, positioner_of_[open->other]);
     }
     goals_.settle();
+    not_locked_.clear();
+}
+
+bool Planner::lock_each_other(PositionerIndex i, PositionerIndex j) {
+    if (not_locked_.contains({i, j})) return false;
+    if (goals_.lock_each_other(i, j)) return true;
+    not_locked_.emplace_back(i, j);
+    return false;
+}
+
+// One of each pair of which the two lock each other. That is proven, so the round does not count as one in
+// vain.
+void Planner::give_up_locked(const PathSet &paths, const List<Repair::Pair> &pairs) {
+    List<PathIndex> gone;
+    for (const auto &[first, second] : pairs) {
+        if (gone.contains(first) || gone.contains(second)) continue;
+        const bool fewer = paths.at(first).conflicts.size() < paths.at(second).conflicts.size();
+        const auto [one, other] = fewer ? std::pair(second, first) : std::pair(first, second);
+        gone.push_back(one);
+        goals_.send_to_safe_place(positioner_of_[one], Refusal::locked, positioner_of_[other]);
+    }
+    goals_.settle();
+    not_locked_.clear();
 }
 
 // The last step in which any positioner moves.
@@ -284,6 +319,9 @@ const char *to_string(Refusal reason) {
         return "it cannot pass what stands still around it within its travel, even alone";
     case Refusal::no_way:
         return "no way past its neighbours was found";
+    case Refusal::locked:
+        return "it and {other} lock each other even if all others are absent: one of the two needs another "
+               "target";
     case Refusal::start_blocked:
         return "it touches {other} before it moves";
     }

@@ -162,6 +162,7 @@ enum class Refusal {
     approach_taken,
     no_way_alone,
     no_way,
+    locked,
     start_blocked
 };
 

@@ -1,5 +1,6 @@
 #include "goals/goal_feasibility.hpp"
 
+#include "guide/joint_reach.hpp"
 #include "motion/near_pairs.hpp"
 
 #include <algorithm>
@@ -19,6 +20,9 @@ constexpr int finest = 4;          // grids up to four times finer are tried whe
 // not help they become finer everywhere.
 constexpr int fineness_at_ends = 4;
 constexpr double fine_steps = 2.6; // of the grid, around start and goal, in which it is finer
+
+// Of grids on which it is looked whether two lock each other; the first one that does not take too much room.
+constexpr int fineness_of_a_proof[] = {8, 4};
 
 // Of one in a pocket that makes way with other approaches: places, and positioners that change theirs.
 constexpr int most_places_tried = 40, most_that_make_way = 4;
@@ -150,6 +154,30 @@ Robot GoalFeasibility::make_robot(PositionerIndex i) {
     for (const PositionerIndex j : near(i))
         if (goals_[j].stuck) robot.add_obstacle(goals_[j].legs.rest(), need_mm_);
     return robot;
+}
+
+// On a grid that is finer everywhere by a factor, with nothing in hand.
+Robot GoalFeasibility::without_hand(PositionerIndex i, int finer) {
+    const Goal before = goals_[i];
+    goals_[i].finer = finer;
+    goals_[i].fine = {};
+    goals_[i].finer_at_ends = 1;
+    goals_[i].in_hand = false;
+    Robot robot = make_robot(i);
+    goals_[i] = before;
+    return robot;
+}
+
+bool GoalFeasibility::lock_each_other(PositionerIndex i, PositionerIndex j) {
+    for (const int finer : fineness_of_a_proof) {
+        const Robot first = without_hand(i, finer), second = without_hand(j, finer);
+        const std::int64_t of_first = JointReach::words(first, second),
+                           of_second = JointReach::words(second, first);
+        if (std::min(of_first, of_second) > JointReach::most_words) continue;
+        return of_first < of_second ? JointReach().none(first, second, need_mm_)
+                                    : JointReach().none(second, first, need_mm_);
+    }
+    return false;
 }
 
 bool GoalFeasibility::find_path_alone(PositionerIndex i) {

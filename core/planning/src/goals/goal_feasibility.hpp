@@ -29,6 +29,9 @@ class GoalFeasibility {
 
     // The positioner on its grid, with all bodies at rest around it.
     Robot make_robot(PositionerIndex i);
+    // Whether it is proven that two cannot both come to their goals, even if all others that move are absent.
+    // Where neither is in a pocket of its own that would take too long, and is not looked at.
+    bool lock_each_other(PositionerIndex i, PositionerIndex j);
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
@@ -120,6 +123,7 @@ class GoalFeasibility {
     bool settle_pairs();
     void wake_still(PositionerIndex i, PositionerIndex j);
     bool find_path_alone(PositionerIndex i);
+    Robot without_hand(PositionerIndex i, int finer);
     static void make_finer(Goal &goal);
     bool spend_one(PositionerIndex i);
     bool safe(PositionerIndex i, const Legs &legs) const;

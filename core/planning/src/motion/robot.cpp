@@ -105,6 +105,13 @@ bool Robot::clear(const SweptArm &swept) const {
                        [&](const Obstacle &o) { return stay_apart(swept, o.swept, o.need_mm); });
 }
 
+bool Robot::may_be_at(Cell c) const {
+    const SweptArm here = resting(c);
+    return std::all_of(obstacles_.begin(), obstacles_.end(), [&](const Obstacle &o) {
+        return stay_apart(here, o.swept, o.need_mm - widest_displacement_mm_);
+    });
+}
+
 bool Robot::clear(Cell c, VelocityChanges changes) {
     if (obstacles_.empty()) return true;
     Clearance &clearance = clearances_[index(c)];

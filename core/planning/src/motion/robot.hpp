@@ -93,6 +93,9 @@ class Robot {
     // Whether a step stays clear of every body at rest.
     bool clear(Cell c, VelocityChanges changes);
     bool clear(const SweptArm &swept) const;
+    // False only if the arm overlaps a body at rest at all angles that are nearer to this cell than to
+    // others.
+    bool may_be_at(Cell c) const;
     // Steps to the goal past the bodies at rest, with a stop at each cell; -1 if there is no path.
     int steps_alone();
     // The cells of such a path, from the start to the goal; none if there is no path.

@@ -61,7 +61,7 @@ bool Repair::part(int most) {
         vain_share_ = share_before_anew;
         const bool done = rounds(most);
         vain_share_ = 1;
-        if (done || failed == begins_anew_ || enough()) return done;
+        if (done || !locked_.empty() || failed == begins_anew_ || enough()) return done;
         failed = part_anew() ? 0 : failed + 1;
     }
 }

@@ -38,6 +38,7 @@ constexpr std::int64_t least_vain = 1000000, vain_per_robot = 2000;
 // Repairs since fewer paths met, before one is given up; so many more for each pair that meets. Counted in
 // nine slow plans of 500 at 2.5 and 3.0 mm: no knot that came undone took more than 452.
 constexpr int least_repairs_in_vain = 1000, repairs_in_vain_per_pair = 100;
+constexpr int repairs_before_a_proof = 100;
 constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
 constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
@@ -141,6 +142,13 @@ int Repair::most_repairs_in_vain() const {
                             (least_repairs_in_vain + repairs_in_vain_per_pair * paths_.conflicts()));
 }
 
+// Where repairs are in vain for a while it is looked whether two lock each other: then more are of no use.
+void Repair::find_locked(int in_vain) {
+    if (in_vain != repairs_before_a_proof || last_steps_ == 0 || most_work_ != unlimited) return;
+    for (const Pair pair : pairs())
+        if (lock_(pair.first, pair.second)) locked_.push_back(pair);
+}
+
 // Whether the plan shall come to an end; once it shall, for good.
 bool Repair::enough() { return statistics_.cut_short = statistics_.cut_short || settings_.enough(); }
 
@@ -150,6 +158,8 @@ bool Repair::rounds(int most) {
     int in_vain = 0; // repairs
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
         if (in_vain++ > most_repairs_in_vain() / vain_share_) break;
+        find_locked(in_vain);
+        if (!locked_.empty()) break;
         if ((enough() && k >= last_rounds) || work() > most_work_) break;
         const auto all = pairs();
         if (all.empty()) return true;

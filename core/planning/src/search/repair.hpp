@@ -3,6 +3,8 @@
 
 #include "search/path_set.hpp"
 
+#include <functional>
+
 namespace fl::planning {
 
 inline constexpr int any_cost = 1 << 25; // more than any path costs
@@ -12,10 +14,16 @@ inline constexpr int near_by = 8; // neighbours that may join a group, or get mo
 
 class Repair {
   public:
-    // share: of the effort of the settings. begins_anew: so often in vain the knot of a pair that resists.
-    Repair(PathSet &paths, const Settings &settings, Statistics &statistics, double share, int begins_anew)
-        : paths_(paths), settings_(settings), statistics_(statistics), effort_(share * settings.effort),
-          begins_anew_(begins_anew), random_(settings.seed) {}
+    struct Manner {
+        double share = 1.0;  // of the effort of the settings
+        int begins_anew = 0; // so often in vain the knot of a pair that resists
+        // Whether it is proven that two cannot both arrive.
+        std::function<bool(PathIndex, PathIndex)> locked = [](PathIndex, PathIndex) { return false; };
+    };
+    Repair(PathSet &paths, const Settings &settings, Statistics &statistics, const Manner &manner)
+        : paths_(paths), settings_(settings), statistics_(statistics),
+          effort_(manner.share * settings.effort), begins_anew_(manner.begins_anew), lock_(manner.locked),
+          random_(settings.seed) {}
 
     // A path for every positioner, longest first, conflicts allowed where they cannot be avoided. Those that
     // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
@@ -23,6 +31,11 @@ class Repair {
     // Replans groups until no two paths conflict (true), or until effort or deadline are used up.
     // first_steps: the first deadline; a pair that resists gets a part of it as more time, up to last_steps.
     bool run(int first_steps, int last_steps);
+    // Two that cannot both arrive: repairs ended when they were found.
+    struct Pair {
+        PathIndex first, second;
+    };
+    const List<Pair> &locked() const { return locked_; }
     // Looks for paths that end earlier, down to this many steps.
     void hurry(int wanted_steps);
     // Replans each positioner alone for a shorter, straighter path without conflicts, where it is found soon.
@@ -31,9 +44,6 @@ class Repair {
 
   private:
     bool first_path(PathIndex i, int most);
-    struct Pair {
-        PathIndex first, second;
-    };
     struct Group {
         List<PathIndex> members;
         List<SavedPath> before;
@@ -86,6 +96,7 @@ class Repair {
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
     bool rounds(int most);
+    void find_locked(int in_vain);
     bool enough();
     std::int64_t most_in_vain() const;
     int most_repairs_in_vain() const;
@@ -100,6 +111,8 @@ class Repair {
     Statistics &statistics_;
     double effort_;
     int begins_anew_;
+    std::function<bool(PathIndex, PathIndex)> lock_;
+    List<Pair> locked_;
     Random random_;
     Search search_;
     JointSearch joint_;
