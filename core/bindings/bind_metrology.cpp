@@ -3,6 +3,7 @@
 #include "fiberloom/expose.hpp"
 #include "fiberloom/render.hpp"
 #include "fiberloom/spots.hpp"
+#include "fiberloom/waves.hpp"
 
 #include <nanobind/stl/array.h>
 
@@ -241,6 +242,13 @@ Output<uint16_t, -1, -1> expose_painted(const KeptLights &lights, std::array<int
     return adu;
 }
 
+Output<double, -1> wave_sums(Input<double, -1, 2> xy, Input<double, -1, wave_columns> waves) {
+    auto sums = new_array<double, -1>({xy.shape(0)});
+    nb::gil_scoped_release release;
+    add_waves({xy.data(), xy.size()}, {waves.data(), waves.size()}, {sums.data(), xy.shape(0)});
+    return sums;
+}
+
 } // namespace
 
 void bind_metrology(nb::module_ &m) {
@@ -281,4 +289,7 @@ void bind_metrology(nb::module_ &m) {
           nb::arg("detector"), nb::arg("seed"), nb::arg("threads") = 1,
           "The image (rows, columns) that `expose` makes of lights that are rendered into one of `shape`, "
           "without painting it as a whole first.");
+    g.def(
+        "wave_sums", &wave_sums, nb::arg("xy"), nb::arg("waves"),
+        "(N,) sums of the cosines of plane waves (k_x, k_y, phase) at places (N, 2); NaN where one is NaN.");
 }

@@ -61,6 +61,12 @@ void LaneGroup::release(size_t i, uint64_t tick) {
     for (auto &axis : loaded_) axis[i] = false; // what comes over the bus may change parameters
 }
 
+uint64_t LaneGroup::used() const {
+    const uint32_t own = awake_ & ~cruise_;
+    const uint64_t beta = own | cruise_axis_[FL_BETA];
+    return beta << lane_group_size | own | cruise_axis_[FL_ALPHA];
+}
+
 void LaneGroup::tick(uint64_t tick, LawScratch &scratch) {
     if (tick >= next_leave_) take_out_due(tick);
     runs_ = 0;

@@ -22,6 +22,9 @@ class LaneGroup {
     // Before `tick`: what the lanes hold of positioner i of the group goes back to it. Nothing but ticks may
     // read or change its firmware before.
     void release(size_t i, uint64_t tick);
+    // A bit for each lane of the plant's group whose firmware may look at its angle or set its duties in the
+    // next tick. Of a positioner in the lanes an axis at rest does neither: only a frame gives it a plan.
+    uint64_t used() const;
     // scratch: of the thread.
     void tick(uint64_t tick, LawScratch &scratch);
     // After a slice: positioners that have come to rest fall asleep; a bit for each of them.

@@ -113,9 +113,9 @@ size_t Plant::bytes() const {
     return bytes;
 }
 
-void Plant::step(size_t group) {
+void Plant::step(size_t group, uint64_t used) {
     AxisGroup &g = groups_[group];
-    kernel_->drive(g);
+    kernel_->drive(g, used);
     const TickEvents events = kernel_->step(g, substeps_);
     if (events.left_cell != 0) follow_cells(group, events.left_cell);
     for (uint64_t left = slipping_[group]; left != 0; left &= left - 1)

@@ -239,9 +239,10 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
     if (!lane_group.gather()) return;
     LawScratch scratch{};
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
-        plant.sense(group, static_cast<uint32_t>(tick));
+        const uint64_t used = scoped[group] != 0 ? every_lane : lane_group.used();
+        plant.sense(group, static_cast<uint32_t>(tick), used);
         lane_group.tick(tick, scratch);
-        plant.step(group);
+        plant.step(group, used);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
             positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
         if (loaded && (tick + 1) % load_ticks == 0) follow_loads(rows);

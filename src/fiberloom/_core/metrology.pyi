@@ -51,3 +51,8 @@ def expose_lights(lights: Lights, shape: Sequence[int], sky: Sequence[float], de
     """
     The image (rows, columns) that `expose` makes of lights that are rendered into one of `shape`, without painting it as a whole first.
     """
+
+def wave_sums(xy: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], waves: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+    """
+    (N,) sums of the cosines of plane waves (k_x, k_y, phase) at places (N, 2); NaN where one is NaN.
+    """

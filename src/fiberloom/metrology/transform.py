@@ -137,15 +137,14 @@ class FieldTransform:
     def covariance(self, xy_px: ArrayLike, covariance_px2: ArrayLike | None = None) -> Floats:
         """(n, 2, 2) mm^2 of positions: of the spots, if given, and of the transform itself."""
         b = self.fields(xy_px)
-        own: Floats = np.einsum("knc,kl,lnd->ncd", b, self.covariance_mm2, b)
+        own = _spread_mm2(b, self.covariance_mm2)
         return own if covariance_px2 is None else own + self.of_spots(xy_px, covariance_px2)
 
     @part("transform")
     def noise(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
         """(n, 2, 2) mm^2 by which positions differ from image to image; `covariance_px2`: of the spots."""
         b = self.fields(xy_px)
-        of_fit: Floats = np.einsum("knc,kl,lnd->ncd", b, self.noise_mm2, b)
-        return of_fit + self.of_spots(xy_px, covariance_px2)
+        return _spread_mm2(b, self.noise_mm2) + self.of_spots(xy_px, covariance_px2)
 
     def of_spots(self, xy_px: ArrayLike, covariance_px2: ArrayLike) -> Floats:
         """(n, 2, 2) mm^2 of positions by `covariance_px2` (n, 2, 2) of the spots alone."""
@@ -340,6 +339,13 @@ def _robust_similarity(px: Floats, mm: Floats, flipped: bool) -> Similarity:
         off = np.hypot(*(mm - base.to_mm(px)).T)
         weight = 1.0 / np.maximum(off, np.median(off) + 1e-12)
     return base
+
+
+def _spread_mm2(fields: Floats, covariance_mm2: Floats) -> Floats:
+    """(n, 2, 2) covariance of what `fields` (K, n, 2) make of coefficients with that of (K, K)."""
+    rows = fields.transpose(1, 2, 0)
+    spread: Floats = (rows @ covariance_mm2) @ rows.transpose(0, 2, 1)
+    return spread
 
 
 def _rms_um(residual_mm: Floats) -> float:

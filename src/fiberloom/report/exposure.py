@@ -13,13 +13,13 @@ from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
-from fiberloom.report.figures import figure_with, save
+from fiberloom.report.figures import figure_with, number_points, save
 from fiberloom.timing import part
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
 
-_SHOWN_PX = 1500
-"""Pixels of a plotted image per side: more do not fit on a page."""
+_SHOWN_PX = 1000
+"""Blocks of a plotted image per side: of more, some fall between the pixels of a page."""
 _LABELS = 700
 _FAR_MM = 0.5
 """A fibre farther from its target has not gone there: it is astray, and no residual."""
@@ -87,8 +87,7 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
     at = spots.xy_px[reduction.spot_of_match[seen]]
     _ring(axes, at, "deepskyblue")
     if seen.sum() <= _LABELS:
-        for number, xy in zip(plane.positioner_id[seen], at, strict=True):
-            _label(axes, number, xy, "deepskyblue", 5)
+        number_points(axes, plane.positioner_id[seen], at, "deepskyblue", 5)
     _mark_missing(axes, plane, reduction)
     _frame(axes, np.vstack([at, spots.xy_px[reduction.acquisition.spot]]))
     title = (
@@ -97,12 +96,6 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
     )
     axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
     save(figure, path, 110, pil_kwargs={"compress_level": 1})
-
-
-def _label(axes: Any, number: int, xy: Floats, colour: str, size: float) -> None:
-    # hundreds of them: the layout need not ask each for its extent
-    text = axes.text(*xy, f"  {number}", color=colour, fontsize=size, va="bottom")
-    text.set_in_layout(False)
 
 
 def _frame(axes: Any, shown: Floats) -> None:
@@ -122,8 +115,7 @@ def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
         known = np.asarray(np.isfinite(expected).all(axis=1, keepdims=True))
         place = reduction.transform.to_px(np.where(known, expected, plane.centres_mm[rows]))
         axes.scatter(*place.T, s=70, marker="x", c=colour)
-        for number, xy in zip(plane.positioner_id[rows], place, strict=True):
-            _label(axes, number, xy, colour, 7)
+        number_points(axes, plane.positioner_id[rows], place, colour, 7)
 
 
 def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm: Floats | None) -> None:

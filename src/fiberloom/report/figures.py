@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
+from matplotlib.textpath import TextPath
+from matplotlib.transforms import Affine2D
+from numpy.typing import ArrayLike
 
 from fiberloom.timing import part
+from fiberloom.typing import Floats
 from fiberloom.wholefile import whole
 
 
@@ -50,3 +58,43 @@ def new_axes(size_in: tuple[float, float]) -> Axes:
 
     _, axes = plt.subplots(figsize=size_in, layout="constrained")
     return axes
+
+
+_BESIDE_EM = (0.64, 0.24)
+"""From the point to the lower left of its number."""
+
+
+@cache
+def _digits() -> tuple[list[Any], float]:
+    """Outlines of 0 to 9 in em, and how far one stands from the next."""
+    paths = [TextPath((0.0, 0.0), str(digit), size=1.0) for digit in range(10)]
+    pair = TextPath((0.0, 0.0), "00", size=1.0)
+    return paths, float(pair.vertices[:, 0].max() - paths[0].vertices[:, 0].max())
+
+
+def number_outline(number: int) -> Any:
+    """Of a whole `number` that is not negative, in em."""
+    paths, step = _digits()
+    figures = [paths[int(figure)] for figure in str(number)]
+    x, y = _BESIDE_EM
+    moved = [path.vertices + np.array([x + k * step, y]) for k, path in enumerate(figures)]
+    return Outline(np.concatenate(moved), np.concatenate([path.codes for path in figures]))
+
+
+def number_points(axes: Axes, numbers: ArrayLike, at: Floats, colour: str, size_pt: float) -> None:
+    """Puts whole `numbers` (n,), none of them negative, beside points `at` (n, 2) of the `axes`.
+
+    `size_pt`: of the digits. One artist for hundreds of them: as texts each would be laid out for itself.
+    """
+    outlines = [number_outline(number) for number in np.asarray(numbers).tolist()]
+    figure = axes.figure
+    texts = PathCollection(
+        outlines,
+        offsets=at,
+        offset_transform=axes.transData,
+        facecolors=colour,
+        linewidths=0.0,
+    )
+    texts.set_transform(Affine2D().scale(size_pt / 72.0) + figure.dpi_scale_trans)
+    texts.set_in_layout(False)
+    axes.add_collection(texts, autolim=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fiberloom._core import metrology as _core
 from fiberloom.typing import Floats
 from fiberloom.units import MM_PER_UM
 
@@ -21,6 +22,6 @@ def air_shift_mm(xy_mm: Floats, rms_um: float, length_mm: float, rng: np.random.
         return np.zeros_like(xy_mm)
     waves = rng.normal(0.0, 1.0 / length_mm, (2, _WAVES, 2))
     phase = rng.uniform(0.0, 2 * np.pi, (2, _WAVES))
-    angle = np.einsum("nc,awc->naw", xy_mm, waves) + phase
-    shift: Floats = rms_um * MM_PER_UM * np.sqrt(2.0 / _WAVES) * np.cos(angle).sum(axis=2)
+    sums = [_core.wave_sums(xy_mm, np.column_stack(wave)) for wave in zip(waves, phase, strict=True)]
+    shift: Floats = rms_um * MM_PER_UM * np.sqrt(2.0 / _WAVES) * np.column_stack(sums)
     return shift

@@ -21,6 +21,7 @@ inline constexpr int lane_group_size =
 inline constexpr int lane_count = 2 * lane_group_size;
 // lanes that are left out together when nothing moves in them
 inline constexpr int chunk_size = lane_count < 16 ? lane_count : 16;
+inline constexpr uint64_t every_lane = UINT64_MAX >> (64 - lane_count);
 inline constexpr double tick_s = 0.0005; // 2 kHz control
 
 // State, coefficients and signals of the axes of a group, one array of lanes each.
@@ -86,8 +87,11 @@ inline constexpr int bell_vector = 8;
 // order without contraction, so they agree to the bit.
 struct Kernel {
     const char *name;
-    void (*sense)(AxisGroup &group, uint32_t tick); // sine, cosine and hall counts of the present angle
-    void (*drive)(AxisGroup &group);                // duties to drive impulses
+    // Sine, cosine and hall counts of the present angle; duties to drive impulses. used: a bit for each lane
+    // whose firmware may look at its angle or set its duties in this tick. Chunks that are still, and none of
+    // whose lanes are used, stay as they are.
+    void (*sense)(AxisGroup &group, uint32_t tick, uint64_t used);
+    void (*drive)(AxisGroup &group, uint64_t used);
     TickEvents (*step)(AxisGroup &group, Substeps substeps);
     // Standard normal numbers, nearly, out of counters: Irwin-Hall of twelve, ends at six. Whole vectors of
     // bell_vector are read and written.

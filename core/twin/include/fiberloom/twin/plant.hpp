@@ -58,10 +58,12 @@ class Plant {
     const char *kernel_name() const { return kernel_->name; }
 
     // One tick of one group begins with the hall counts. Groups are independent: any thread may run any of
-    // them.
-    void sense(size_t group, uint32_t tick) { kernel_->sense(groups_[group], tick); }
+    // them. used: as of Kernel::sense.
+    void sense(size_t group, uint32_t tick, uint64_t used = every_lane) {
+        kernel_->sense(groups_[group], tick, used);
+    }
     // Then, once the duties are set, 0.5 ms of physics.
-    void step(size_t group);
+    void step(size_t group, uint64_t used = every_lane);
 
     // Memory of all axes together.
     size_t bytes() const;
