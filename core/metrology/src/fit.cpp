@@ -272,6 +272,7 @@ void solve(const Stamp &stamp, const Profile &profile, const Settings &settings,
         fit.converged = k >= rough_iterations && size * size < enough * enough * (fit.var_x + fit.var_y);
     }
     fit.flux = state.flux, fit.background = state.background;
+    fit.explained = fit.flux * fit.flux / fit.var_flux;
     fit.x = stamp.x0 + state.x, fit.y = stamp.y0 + state.y;
     fit.moved = std::hypot(fit.x - x0, fit.y - y0);
 }

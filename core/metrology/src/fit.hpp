@@ -46,7 +46,8 @@ struct Fit {
     double flux = 0, x = 0, y = 0; // ADU, px of the image
     double background = 0;         // ADU above the background map
     double var_x = 0, cov_xy = 0, var_y = 0, var_flux = 0;
-    double chi2 = 0; // per degree of freedom
+    double explained = 0; // of chi2, by the light of the spot
+    double chi2 = 0;      // per degree of freedom
     double freedom = 1;
     double lost = 0;     // share of the profile's squared light without a say
     double left_out = 0; // pixels
@@ -73,5 +74,10 @@ void fetch_ahead(const ImageView &image, const Box &box);
 // Solves for flux, x, y and background; the stamp's neighbours are taken off already.
 void solve(const Stamp &stamp, const Profile &profile, const Settings &settings, bool free_background,
            Fit &fit);
+
+// Two spots that share their light: flux, x, y of both and one background. All others are taken off the stamp
+// already. False, and both as they were, where that does not end: they are one spot, or none.
+bool solve_pair(const Stamp &stamp, const Profile &profile, const Settings &settings, Fit &first,
+                Fit &second);
 
 } // namespace fl::metrology

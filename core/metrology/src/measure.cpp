@@ -20,6 +20,7 @@ constexpr double most_doubt = 0.7;        // pixels: what ordinary noise adds up
 constexpr double poor_chi2 = 2.0;
 constexpr double wing_fwhm = 6.0;    // farther than this, wings do not matter
 constexpr double close_fwhm = 3.0;   // nearer than this, one fit moves the other
+constexpr double pair_fwhm = 1.5;    // nearer than this, each alone does not settle beside the other
 constexpr double split_sigma = 6;    // of chi2: then there is something to be seen
 constexpr double split_pixels = 2.5; // left out: a hot pixel is one
 constexpr double wide_q = 20;        // where a hidden neighbour is looked for
@@ -73,8 +74,7 @@ class Frame {
         split_blends();
         for (int round = 1; round < neighbour_rounds; ++round) {
             link(wing_fwhm * typical_fwhm_);
-            for (std::size_t i = 0; i < fits_.size(); ++i)
-                if (fits_[i].orphaned || shares_pixels(i)) fit_one(i);
+            for (std::size_t i = 0; i < fits_.size(); ++i) fit_again(i);
             drop_what_is_none();
         }
     }
@@ -137,11 +137,63 @@ class Frame {
         const float noise = background_.noise_at(fit.x, fit.y);
         for (const std::size_t j : near_[i]) {
             const Fit &n = fits_[j];
-            if (!reaches(n, fit, e, noise)) continue;
-            subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, n.x, n.y)), n.flux,
-                             n.x - stamp_.x0, n.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
+            if (reaches(n, fit, e, noise)) take_off(n);
         }
         return cut;
+    }
+
+    void fit_again(std::size_t i) {
+        if (!fits_[i].orphaned && !shares_pixels(i)) return;
+        const std::size_t j = partner(i);
+        if (j == i)
+            fit_one(i);
+        else if (i < j && !fit_pair(i, j))
+            fit_one(i), fit_one(j);
+    }
+
+    // The only spot that is nearer to spot i than `pair_fwhm`, and to which no third one is; else i itself.
+    std::size_t partner(std::size_t i) const {
+        const std::size_t j = only_close(i);
+        const bool saturated = fits_[i].saturated || fits_[j].saturated;
+        return !saturated && only_close(j) == i ? j : i;
+    }
+    std::size_t only_close(std::size_t i) const {
+        std::size_t found = i, count = 0;
+        for (const std::size_t j : near_[i])
+            if (distance(fits_[i], fits_[j]) < pair_fwhm * typical_fwhm_) found = j, ++count;
+        return count == 1 ? found : i;
+    }
+
+    bool fit_pair(std::size_t i, std::size_t j) {
+        const Cut cut = prepare_pair(i, j);
+        if (cut.saturated || !solve_pair(stamp_, profile_, settings_, fits_[i], fits_[j])) return false;
+        for (const std::size_t k : {i, j}) {
+            fits_[k].truncated = cut.truncated, fits_[k].saturated = false, fits_[k].orphaned = false;
+        }
+        return true;
+    }
+
+    // The stamp of both spots without their neighbours.
+    Cut prepare_pair(std::size_t i, std::size_t j) {
+        const Fit &a = fits_[i], &b = fits_[j];
+        const double q_max = std::max(a.q_max, b.q_max);
+        const Ellipse e = ellipse_at(profile_, a.x, a.y);
+        const Box both{0.5 * (a.x + b.x), 0.5 * (a.y + b.y), e.half_width(q_max) + 0.5 * std::fabs(a.x - b.x),
+                       e.half_height(q_max) + 0.5 * std::fabs(a.y - b.y)};
+        const Cut cut = cut_out(scene_, both, stamp_);
+        std::vector<std::size_t> others;
+        for (const std::size_t k : near_[i]) others.push_back(k);
+        for (const std::size_t k : near_[j]) others.push_back(k);
+        std::sort(others.begin(), others.end());
+        others.erase(std::unique(others.begin(), others.end()), others.end());
+        for (const std::size_t k : others)
+            if (k != i && k != j) take_off(fits_[k]);
+        return cut;
+    }
+
+    void take_off(const Fit &f) {
+        subtract_profile(stamp_, shape_of(profile_, ellipse_at(profile_, f.x, f.y)), f.flux, f.x - stamp_.x0,
+                         f.y - stamp_.y0, static_cast<float>(1 / settings_.gain_e_adu));
     }
 
     void fit_one(std::size_t i) {
@@ -199,7 +251,7 @@ class Frame {
         const double sigma = f.flux / std::sqrt(f.var_flux);
         const double cap = f.saturated || f.truncated ? 0.98 : most_lost;
         return f.converged && is_finite(f) && sigma > settings_.threshold && f.lost < cap &&
-               has_the_shape(f, sigma) && f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 &&
+               has_the_shape(f) && f.x > -0.5 && f.y > -0.5 && f.x < image_.width - 0.5 &&
                f.y < image_.height - 0.5;
     }
 
@@ -212,14 +264,14 @@ class Frame {
     // What the profile leaves over, against what it explains: tracks and clusters are not shaped like spots,
     // and a spot that a cosmic ray hits is, but for the pixels of the ray. A poor profile must not judge
     // strictly.
-    bool has_the_shape(const Fit &f, double sigma) const {
+    bool has_the_shape(const Fit &f) const {
         // in a frame that has no spot to measure a profile on, nothing is likely to be one; but where all are
         // saturated they are not kept from the user
         if (!profile_.measured() && f.chi2 > poor_chi2) return f.saturated;
         const double left_over = (f.chi2 - 1) * f.freedom - 3 * std::sqrt(2 * f.freedom);
         const double thrown_out = doubt_chi2 * std::max(f.left_out - forgiven_pixels, 0.0);
         const double allowed = most_unexplained + 10 * profile_.misfit * profile_.misfit;
-        return left_over + thrown_out < allowed * sigma * sigma;
+        return left_over + thrown_out < allowed * f.explained;
     }
 
     void drop_what_is_none() {
