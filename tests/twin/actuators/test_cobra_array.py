@@ -42,11 +42,18 @@ def segments(array, angle_deg):
     return np.hstack([plane.elbows_mm(alpha), plane.forward(alpha, beta)])
 
 
+@pytest.mark.parametrize("halted", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_contacts_are_those_of_a_dense_search(seed):
+def test_contacts_are_those_of_a_dense_search(seed, halted):
+    """Halted: the power of half of them goes on the way, and the others run into some of these."""
     array = array_at(drawn(seed))
     rng = np.random.default_rng(seed + 10)
     duration_s = moved(array, rng.integers(-800, 800, (N, 2)), rng.integers(0, 300, (N, 2)))
+    planned = list(array.touched)
+    if halted:
+        array.clock = lambda: 0.15 * duration_s
+        array.halt(np.arange(N) % 2 == 0)
+        assert array.touched != planned
     told = {(c.positioner_id, c.other) for c in array.touched if c.other is not None}
     pairs = np.array([p for p in array._pairs.tolist() if p[1] < N])
     nearest = np.full(len(pairs), np.inf)

@@ -131,13 +131,17 @@ class CobraArray:
         return move.duration_s
 
     def halt(self, rows: Flags) -> None:
-        """Those (n,) stay where they are now: their power is off."""
+        """Those (n,) stay where they are now: their power is off. The others go on, and may run into them."""
         now, here = self.time_s, self.angle_deg
         k = int(np.searchsorted(self._moments_s, now, side="right"))
         self._moments_s = np.insert(self._moments_s, k, now)
         self._way_deg = np.insert(self._way_deg, k, here, axis=0)
         self._way_deg[k:, rows] = here[rows]
         self.motors.angle_deg = self._way_deg[-1].ravel().copy()
+        begins_s = float(self._moments_s[0])
+        # what is not reached any more was no contact
+        self.touched[:] = [one for one in self.touched if one.time_s < begins_s]
+        self._note_contacts(begins_s)
 
     def _note_contacts(self, begins_s: float) -> None:
         hit = touching(self._bodies, self._pairs, self._with_fixed(self._way_deg))

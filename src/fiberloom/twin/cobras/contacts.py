@@ -40,6 +40,12 @@ class ArmBodies:
         second = first + between
         return np.column_stack([x, y, x + b * np.cos(second), y + b * np.sin(second)])
 
+    def apart_mm(self, pairs: Ints, angle_deg: Floats) -> Floats:
+        """(P,) mm between bodies of pairs (P, 2) of rows, all at (n, 2) deg; below 0: they touch."""
+        i, j = pairs.T
+        lines = (self.segments_mm(rows, angle_deg[rows]) for rows in (i, j))
+        return np.asarray(segment_distance(*lines) - (self.radius_mm[i] + self.radius_mm[j]))
+
     def farthest_mm(self, rows: Ints, from_deg: Floats, to_deg: Floats) -> Floats:
         """(m,) mm that no point of an arm goes farther than, between two angles (m, 2) in deg."""
         turn = np.abs(deg_to_rad(to_deg - from_deg))

@@ -23,6 +23,8 @@ from fiberloom.units import rad_to_deg
 
 MOST_CORNERS, MOMENTS = 260, 120
 """A motion with more corners is kept at so many moments: a group in which each ends at its own time."""
+MET_MM = 0.1
+"""Arms that are freed from what they have met are no farther from it; play is crossed at once."""
 LOSES_SHARE = (0.02, 0.2)
 """[A] Of a way, that a weak motor loses: drawn for each move."""
 
@@ -80,6 +82,9 @@ class StepperArray(RigidArms):
         self.interlocks: Interlocks | None = None
         """What stops units on their way; None: nothing does."""
         self._stops: list[InterlockStop] = []
+        self._watching: Interlocks | None = None
+        self._held = np.zeros(n, dtype=bool)
+        self._freeing, self._handed = False, set[Touch]()
 
     # motion
 
@@ -100,14 +105,14 @@ class StepperArray(RigidArms):
     def go(self, path: CountPath, *, freeing: bool = False) -> float:
         """Motors follow counts from now on; how long it takes, s. What touches on the way is noted.
 
-        `freeing`: out of what an interlock has stopped at; nothing stops it, and it is noted already.
+        `freeing`: out of what an interlock has stopped at; nothing stops it, what it has met is noted.
         """
         time_s, rotor = self._others(np.unique(path.time_s), path.rows)
         rotor[:, path.rows] += _gone(path, time_s) * self._kept(path.rows)
         self.counts[path.rows] = np.rint(path.counts[-1]).astype(np.int64)
         self._run(time_s, rotor, None if freeing else self.interlocks)
-        if not freeing:
-            self._note_contacts()
+        self._freeing = freeing
+        self._note_contacts()
         return float(path.time_s[-1].max())
 
     def seek(self, rows: Ints, axis: int, rate_Hz: float) -> tuple[Floats, Flags, Ints]:
@@ -133,9 +138,17 @@ class StepperArray(RigidArms):
         return took_s, found, slip
 
     def halt(self, rows: Ints) -> None:
-        """Motors of these stand still now; their controllers count what was gone."""
-        if self.time_s < self._path.time_s[-1]:
-            self._hold(rows, self.time_s)
+        """Motors of these stand still now; their controllers count what was gone.
+
+        The others go on, and may run into them.
+        """
+        if self.time_s >= self._path.time_s[-1]:
+            return
+        self._hold(rows, self.time_s)
+        self._held[rows] = True
+        if self._watching is not None:
+            self._stop_where_met(self._watching)
+        self._note_contacts()
 
     def _others(self, corners_s: Floats, rows: Ints) -> tuple[Floats, Floats]:
         """Moments (K,) in s from now of a motion with these corners, and rotors (K, N, 2) of all then.
@@ -159,12 +172,13 @@ class StepperArray(RigidArms):
     def _run(self, after_s: Floats, rotor: Floats, interlocks: Interlocks | None = None) -> None:
         rising = _rising(rotor, self._rising_now(), self.units.steps.sign)
         self._path = _Running(self.time_s + after_s, rotor, rising)
+        self._watching, self._held, self._freeing = interlocks, np.zeros(len(self.plane), dtype=bool), False
         if interlocks is not None:
             self._stop_where_met(interlocks)
 
     def _stop_where_met(self, interlocks: Interlocks) -> None:
         """Stops units on the path one after the other; each stop changes what comes after it."""
-        held = np.zeros(len(self.plane), dtype=bool)
+        held = self._held
         while True:
             counted = self.units.steps.angles_deg(self._path.rotor)
             stop = interlocks.first(self._path.time_s, self._way_deg(), counted, held)
@@ -226,12 +240,22 @@ class StepperArray(RigidArms):
     def _note_contacts(self) -> None:
         if not len(self._pairs):
             return
-        hit, begin_s = touching(self._bodies, self._pairs, self._way_deg()), self.time_s
+        way_deg, begin_s = self._way_deg(), float(self._path.time_s[0])
+        hit = touching(self._bodies, self._pairs, way_deg)
+        if self._freeing:
+            hit &= self._bodies.apart_mm(self._pairs, way_deg[0]) > MET_MM
         ids, n = self.plane.positioner_id, len(self.plane)
-        # of those that start at the same moment the last one tells: before it they were said to stand
+        # of a motion, and of those that start at one moment, what is known last tells
         self._touches = [one for one in self._touches if one.time_s < begin_s]
-        for i, j in self._pairs[hit].tolist():
-            self._touches.append(Touch(begin_s, int(ids[i]), int(ids[j]) if j < n else None))
+        found = [Touch(begin_s, int(ids[i]), int(ids[j]) if j < n else None) for i, j in self._pairs[hit]]
+        self._touches += [one for one in found if one not in self._handed]
+
+    def touches(self) -> list[Touch]:
+        """Contacts since the last call: the first moment of each pair in each move."""
+        found = super().touches()
+        begin_s = self._path.time_s[0]
+        self._handed = {one for one in [*self._handed, *found] if one.time_s >= begin_s}
+        return found
 
     def _way_deg(self) -> Floats:
         """(K, n, 2) true angles of arms along the path; fixed bodies have 0."""

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from fiberloom._core.geometry import segment_distance
 from fiberloom.twin.cobras.contacts import ArmBodies, touching
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -63,9 +62,7 @@ class Interlocks:
     def meets(self, row: int, at_deg: Floats) -> bool:
         """Whether an arm touches another body, all at (n, 2) deg."""
         own = self.pairs[(self.pairs == row).any(axis=1)]
-        i, j = own.T
-        apart = segment_distance(self.bodies.segments_mm(i, at_deg[i]), self.bodies.segments_mm(j, at_deg[j]))
-        return bool((apart < self.bodies.radius_mm[i] + self.bodies.radius_mm[j]).any())
+        return bool((self.bodies.apart_mm(own, at_deg) < 0.0).any())
 
     def beyond(self, counted_deg: Floats) -> bool:
         """Whether angles (2,) by a unit's counts are beyond a limit."""

@@ -147,6 +147,8 @@ class MoonsBus(StepperBus):
             self._armed.pop(address, None)
             if self.units[address].state is MoonsState.DATUM_SEARCH:
                 self.units[address].state = MoonsState.UNINITIALISED
+        for stop in self.array.stops():  # others that now run into these
+            self._interrupt(stop)
 
     def _answer(
         self, address: int, sequence: int, command: MoonsCommand, error: MoonsError = MoonsError.NONE
