@@ -54,3 +54,20 @@ def test_a_fibre_inside_of_the_reach_tells_nothing_where_beta_is_wrong_too(repor
     angles_deg, known, _ = seen_from((40.0, 180.0), reported_deg, noise_mm)
     assert not known
     assert tuple(angles_deg) == reported_deg
+
+
+@pytest.mark.parametrize(
+    ("true_deg", "reported_deg"), [(362.0, 361.0), (2.0, 1.0), (359.5, 363.5), (-2.0, 1.0)]
+)
+def test_of_two_turns_within_the_stops_the_nearer_one_counts(true_deg, reported_deg):
+    """The stops are 368 deg apart: near them a fibre alone does not tell on which side alpha is."""
+    angles_deg, known, _ = seen_from((true_deg, 179.5), (reported_deg, 179.5))
+    assert known
+    assert angles_deg[0] == pytest.approx(true_deg, abs=1e-6)
+
+
+def test_what_only_one_turn_within_the_stops_allows_is_there():
+    """200 deg from what is reported: 160 deg the other way would be beyond a stop."""
+    angles_deg, known, _ = seen_from((10.0, 179.5), (210.0, 179.5))
+    assert known
+    assert angles_deg[0] == pytest.approx(10.0, abs=1e-6)

@@ -43,10 +43,12 @@ def _turned(plane: FocalPlane, rows: Ints, seen_mm: Floats, reported_deg: Floats
     reported_mm = plane.forward(reported_deg[:, 0], reported_deg[:, 1], METROLOGY, index=rows)
     seen, reported = (xy - plane.centres_mm[rows] for xy in (seen_mm, reported_mm))
     turn_deg = np.rad2deg(np.arctan2(*seen.T[::-1]) - np.arctan2(*reported.T[::-1]))
-    low, high = plane.hard_stops_deg[0]
-    alpha_deg = reported_deg[:, 0] + turn_deg
-    alpha_deg -= 360.0 * np.floor((alpha_deg - low) / 360.0)  # from the lower stop on
-    fits = (np.abs(np.hypot(*seen.T) - np.hypot(*reported.T)) <= _SAME_RADIUS) & (alpha_deg <= high)
+    low, high = plane.stops_of(rows)[:, 0].T
+    # of two turns that the stops allow the one nearer to what is reported, as the inverse has it
+    alpha_deg = reported_deg[:, 0] + (turn_deg + 180.0) % 360.0 - 180.0
+    alpha_deg += 360.0 * (alpha_deg < low) - 360.0 * (alpha_deg > high)
+    inside = (alpha_deg >= low) & (alpha_deg <= high)
+    fits = inside & (np.abs(np.hypot(*seen.T) - np.hypot(*reported.T)) <= _SAME_RADIUS)
     return np.column_stack([alpha_deg, reported_deg[:, 1]]), fits
 
 
