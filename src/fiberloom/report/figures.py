@@ -84,7 +84,8 @@ def number_outline(number: int) -> Any:
 def number_points(axes: Axes, numbers: ArrayLike, at: Floats, colour: str, size_pt: float) -> None:
     """Puts whole `numbers` (n,), none of them negative, beside points `at` (n, 2) of the `axes`.
 
-    `size_pt`: of the digits. One artist for hundreds of them: as texts each would be laid out for itself.
+    `colour`, and `size_pt`: of the digits, 0.353 mm each. One artist for hundreds of numbers: as texts each
+    would be laid out for itself.
     """
     outlines = [number_outline(number) for number in np.asarray(numbers).tolist()]
     figure = axes.figure

@@ -71,19 +71,18 @@ def _refine(xy: Floats, used: Flags, p: Floats) -> Floats:
 
 def _design(xy: Floats, used: Flags, p: Floats) -> Floats:
     out = xy - p[:, None, :2]
-    length = np.maximum(np.hypot(out[..., :1], out[..., 1:]), 1e-300)
+    length = np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-300)
     return np.concatenate([out / length, np.ones_like(length)], axis=-1) * used[..., None]
 
 
 def _radial(xy: Floats, p: Floats) -> Floats:
-    out = xy - p[:, None, :2]
-    off: Floats = np.hypot(out[..., 0], out[..., 1]) - p[:, None, 2]
+    off: Floats = np.linalg.norm(xy - p[:, None, :2], axis=-1) - p[:, None, 2]
     return off
 
 
 def _solve(design: Floats, right: Floats) -> Floats:
-    columns = design.transpose(0, 2, 1)
-    step: Floats = (np.linalg.pinv(columns @ design) @ (columns @ right[..., None]))[..., 0]
+    normal = np.einsum("nmi,nmj->nij", design, design)
+    step: Floats = np.einsum("nij,nj->ni", np.linalg.pinv(normal), np.einsum("nmi,nm->ni", design, right))
     return step
 
 
@@ -101,6 +100,6 @@ def _summary(xy: Floats, used: Flags, p: Floats) -> Circles:
     square = (used * _radial(xy, p) ** 2).sum(axis=1)
     count = used.sum(axis=1)
     variance = square / np.maximum(count - 3, 1)
-    inverse = np.linalg.pinv(design.transpose(0, 2, 1) @ design)
+    inverse = np.linalg.pinv(np.einsum("nmi,nmj->nij", design, design))
     rms = np.sqrt(square / np.maximum(count, 1))
     return Circles(p[:, :2], p[:, 2], inverse * variance[:, None, None], rms, used)

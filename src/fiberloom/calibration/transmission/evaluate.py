@@ -196,9 +196,8 @@ def _tie(
         left = np.where(used[..., None], left, 0.0)
         jacobian = plane.jacobian(at[:, 0], at[:, 1], index=index).reshape(*xy.shape, 2)
         jacobian = np.where(used[..., None, None], jacobian, 0.0)
-        columns = jacobian.reshape(len(rows), -1, 2).transpose(0, 2, 1)
-        right = columns @ left.reshape(len(rows), -1, 1)
-        zero += np.linalg.solve(columns @ columns.transpose(0, 2, 1), right)[..., 0]
+        inverse = np.linalg.inv(np.einsum("nmci,nmcj->nij", jacobian, jacobian))
+        zero += np.einsum("nij,nmcj,nmc->ni", inverse, jacobian, left, optimize=True)
     square = (left**2).sum(axis=(1, 2))
     return zero, np.sqrt(square / used.sum(axis=1)) * UM_PER_MM
 
