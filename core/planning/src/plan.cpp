@@ -228,7 +228,7 @@ void Planner::give_up_some(const PathSet &paths) {
         if (open == theirs.end()) continue;
         gone.push_back(m);
         if (refine(positioner_of_[m], positioner_of_[open->other])) continue;
-        goals_.send_to_safe_place(positioner_of_[m], Refusal::no_way, positioner_of_[open->other]);
+        goals_.give_up_one(positioner_of_[m], positioner_of_[open->other], Refusal::no_way);
     }
     goals_.settle();
     not_locked_.clear();
@@ -250,7 +250,7 @@ void Planner::give_up_locked(const PathSet &paths, const List<Repair::Pair> &pai
         const bool fewer = paths.at(first).conflicts.size() < paths.at(second).conflicts.size();
         const auto [one, other] = fewer ? std::pair(second, first) : std::pair(first, second);
         gone.push_back(one);
-        goals_.send_to_safe_place(positioner_of_[one], Refusal::locked, positioner_of_[other]);
+        goals_.give_up_one(positioner_of_[one], positioner_of_[other], Refusal::locked);
     }
     goals_.settle();
     not_locked_.clear();

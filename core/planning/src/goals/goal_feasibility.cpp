@@ -403,6 +403,17 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     return false;
 }
 
+void GoalFeasibility::give_up_one(PositionerIndex first, PositionerIndex second, Refusal why) {
+    const auto goals_before = goals_;
+    const auto refused_before = refused_;
+    if (send_to_safe_place(first, why, second)) return;
+    const auto goals_of_first = std::exchange(goals_, goals_before);
+    const auto refused_of_first = std::exchange(refused_, refused_before);
+    if (send_to_safe_place(second, why, first)) return;
+    goals_ = goals_of_first;
+    refused_ = refused_of_first;
+}
+
 void GoalFeasibility::make_finer(Goal &goal) {
     if (goal.finer == 1 && goal.finer_at_ends == 1) {
         goal.finer_at_ends = fineness_at_ends;

@@ -35,6 +35,9 @@ class GoalFeasibility {
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
+    // Gives up one of two that do not both arrive: the first, or the second if the first can go nowhere where
+    // it blocks no other. If both cannot, the first.
+    void give_up_one(PositionerIndex first, PositionerIndex second, Refusal why);
     // Makes the grid of a positioner finer around its start and its goal; asked again, twice as fine
     // everywhere instead, and again. False, and as before, if no finer one has a way past what does not move.
     bool refine(PositionerIndex i);
