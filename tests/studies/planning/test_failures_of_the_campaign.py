@@ -97,6 +97,17 @@ def test_one_that_can_make_way_is_given_up_rather_than_one_that_cannot():
     assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
 
 
+# 202 has lost its goal to 1108, in a pocket. It left its start for 1383 and 615, and went round to come back
+# to it: 2.395.
+def test_one_that_has_lost_its_goal_need_not_come_back_to_its_start():
+    array = array_at(2.5)
+    ends_deg = array.ends_of(690)
+    made = plan(array.plane, *ends_deg, seed=690, settings=PlanSettings(collision_buffer_mm=2.5))
+    assert set(made.refused) == {1108, 202}
+    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
+    assert made.duration_s < 1.3 * bound_s(array.plane, *ends_deg, refused=made.refused)
+
+
 # Before floods of two told whether there is a way in time: 1.409, 1.355 and 2.388.
 @pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(261, 2.0, 1.3), (590, 2.0, 1.3), (473, 2.5, 1.3)])
 def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, most):
