@@ -20,6 +20,14 @@ constexpr double effort_again = 0.4; // of the first round: what resists that se
 // hand, which may be all that bars its way. In those with finer grids it takes long and was of no use.
 constexpr int begins_anew[] = {1, 3};
 
+constexpr double late_return = 1.3; // of the steps that the longest path needs
+
+int last_arrival(const PathSet &paths) {
+    int last = 0;
+    for (const PathIndex m : paths.places()) last = std::max(last, paths.arrival(m));
+    return last;
+}
+
 LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
     return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
             turn_begins_s(clock, steps, axis.turn + 1)};
@@ -56,6 +64,7 @@ class Planner {
     bool refine(PositionerIndex i, PositionerIndex j);
     bool spend(const PathSet &paths);
     void give_up(const PathSet &paths);
+    bool send_elsewhere(const PathSet &paths);
     void give_up_some(const PathSet &paths);
     void give_up_locked(const PathSet &paths, const List<Repair::Pair> &pairs);
     bool lock_each_other(PositionerIndex i, PositionerIndex j);
@@ -80,6 +89,14 @@ class Planner {
     bool trial_ = false; // the round has grids that are finer at their ends: where it fails the next one
                          // begins as if it had not been
     List<std::pair<PositionerIndex, PositionerIndex>> not_locked_; // as their goals are
+    // What all went to when one that does not arrive came back to its start, until it is known whether it is
+    // better elsewhere. That is tried once.
+    struct BeforeElsewhere {
+        GoalFeasibility::State goals;
+        int arrival = 0;
+    };
+    std::optional<BeforeElsewhere> before_elsewhere_;
+    bool sent_elsewhere_ = false;
     int round_ = 0;
 };
 
@@ -171,6 +188,15 @@ bool Planner::find_paths() {
         return false;
     }
     const bool free = repair.run(wanted, last);
+    if (const auto before = std::exchange(before_elsewhere_, std::nullopt))
+        if (!free || last_arrival(paths) > before->arrival) {
+            goals_.go_back_to(before->goals);
+            return false; // its ways are kept
+        }
+    if (free && send_elsewhere(paths)) {
+        keep_ways(std::move(paths));
+        return false;
+    }
     if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
     if (free) own_ = fewer_points(paths, settings_.most_points, settings_.enough);
@@ -189,6 +215,19 @@ bool Planner::find_paths() {
         if (!trial) keep_ways(std::move(paths));
     }
     return free;
+}
+
+// Those that do not arrive, but have to leave their start for others and come back to it far too late.
+bool Planner::send_elsewhere(const PathSet &paths) {
+    if (std::exchange(sent_elsewhere_, true) || statistics_.cut_short) return false;
+    const BeforeElsewhere before{goals_.state(), last_arrival(paths)};
+    bool any = false;
+    for (const PathIndex m : paths.places())
+        if (paths.arrival(m) > late_return * least_steps_) any |= goals_.go_elsewhere(positioner_of_[m]);
+    if (!any) return false;
+    before_elsewhere_ = before;
+    goals_.settle();
+    return true;
 }
 
 // Whether two that conflict shall be tried on finer grids: slower, but they may pass where wide steps cannot.
@@ -228,7 +267,7 @@ void Planner::give_up_some(const PathSet &paths) {
         if (open == theirs.end()) continue;
         gone.push_back(m);
         if (refine(positioner_of_[m], positioner_of_[open->other])) continue;
-        goals_.send_to_safe_place(positioner_of_[m], Refusal::no_way, positioner_of_[open->other]);
+        goals_.give_up_one(positioner_of_[m], positioner_of_[open->other], Refusal::no_way);
     }
     goals_.settle();
     not_locked_.clear();
@@ -250,7 +289,7 @@ void Planner::give_up_locked(const PathSet &paths, const List<Repair::Pair> &pai
         const bool fewer = paths.at(first).conflicts.size() < paths.at(second).conflicts.size();
         const auto [one, other] = fewer ? std::pair(second, first) : std::pair(first, second);
         gone.push_back(one);
-        goals_.send_to_safe_place(positioner_of_[one], Refusal::locked, positioner_of_[other]);
+        goals_.give_up_one(positioner_of_[one], positioner_of_[other], Refusal::locked);
     }
     goals_.settle();
     not_locked_.clear();

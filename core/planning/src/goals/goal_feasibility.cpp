@@ -27,6 +27,12 @@ constexpr int fineness_of_a_proof[] = {8, 4};
 // Of one in a pocket that makes way with other approaches: places, and positioners that change theirs.
 constexpr int most_places_tried = 40, most_that_make_way = 4;
 
+constexpr double beside_rad = 0.5; // alpha and beta in sum
+
+bool beside(Angles p, Angles q) {
+    return std::abs(p.alpha_rad - q.alpha_rad) + std::abs(p.beta_rad - q.beta_rad) <= beside_rad;
+}
+
 int number_or_none(std::optional<PositionerIndex> i) { return i ? i->value() : -1; }
 
 } // namespace
@@ -326,6 +332,59 @@ List<Angles> GoalFeasibility::reachable_places(PositionerIndex i) {
     return out;
 }
 
+// Where it is in each step if nothing is in its way: both axes go at once until the nearer one is there.
+List<SweptArm> GoalFeasibility::straight_way(PositionerIndex i) const {
+    const Angles from = start(i), to = goals_[i].angles;
+    const double alpha = to.alpha_rad - from.alpha_rad, beta = to.beta_rad - from.beta_rad;
+    const double step = step_rad(i);
+    const auto gone = [step](double way, int steps) { return std::clamp(way, -step * steps, step * steps); };
+    List<SweptArm> out;
+    for (int k = 0; (k - 1) * step < std::max(std::abs(alpha), std::abs(beta)); ++k) {
+        const Angles here{from.alpha_rad + gone(alpha, k), from.beta_rad + gone(beta, k)};
+        out.push_back(Legs(body(i), here).rest());
+    }
+    return out;
+}
+
+// Those that are not beside its start, and in which it is in the way of no more others than there; of fewest
+// first.
+List<Angles> GoalFeasibility::elsewhere(PositionerIndex i, const List<Angles> &places) const {
+    List<List<SweptArm>> ways;
+    for (const PositionerIndex j : near(i))
+        if (!away(j) && !goals_[j].still) ways.push_back(straight_way(j));
+    const auto met = [&](Angles place) {
+        const SweptArm here = Legs(body(i), place).rest();
+        return std::count_if(ways.begin(), ways.end(), [&](const List<SweptArm> &way) {
+            return !std::all_of(way.begin(), way.end(),
+                                [&](const SweptArm &there) { return stay_apart(here, there, need_mm_); });
+        });
+    };
+    const auto most = met(start(i));
+    List<std::pair<std::int64_t, int>> order;
+    for (const int k : places.places())
+        if (!beside(places[k], start(i)))
+            if (const auto these = met(places[k]); these <= most) order.emplace_back(these, k);
+    std::sort(order.begin(), order.end());
+    List<Angles> out;
+    for (const auto &[these, k] : order) out.push_back(places[k]);
+    return out;
+}
+
+bool GoalFeasibility::go_elsewhere(PositionerIndex i) {
+    const Angles at = goals_[i].angles;
+    if (!is_refused(i) || away(i) || at.alpha_rad != start(i).alpha_rad || at.beta_rad != start(i).beta_rad)
+        return false;
+    const Goal before = goals_[i];
+    List<Angles> places = folded_places(i);
+    const List<Angles> others = reachable_places(i);
+    places.insert(places.end(), others.begin(), others.end());
+    goals_[i].gone = true;
+    for (const Angles place : elsewhere(i, places))
+        if (try_place(i, place, false)) return true;
+    goals_[i] = before;
+    return false;
+}
+
 // One that cannot get out of the way of all others, in a pocket, takes the place there in which fewest of
 // them lose their goals, if that are fewer than where it stands. They must not have lost one before: so this
 // ends.
@@ -401,6 +460,15 @@ bool GoalFeasibility::send_to_safe_place(PositionerIndex i, Refusal why,
     if (!is_refused(i)) return move_away(i, why, {true, other});
     freeze(i);
     return false;
+}
+
+void GoalFeasibility::give_up_one(PositionerIndex first, PositionerIndex second, Refusal why) {
+    const State before = state();
+    if (send_to_safe_place(first, why, second)) return;
+    const State of_first = state();
+    go_back_to(before);
+    if (send_to_safe_place(second, why, first)) return;
+    go_back_to(of_first);
 }
 
 void GoalFeasibility::make_finer(Goal &goal) {

@@ -11,7 +11,35 @@ namespace fl::planning {
 
 // Where the positioners of one plan go. One that cannot move is an obstacle where it is.
 class GoalFeasibility {
+    struct FineAxes {
+        FineLines alpha, beta;
+    };
+    struct Goal {
+        Angles angles;
+        Descent descent;       // to the angles
+        Legs legs;             // of the descent; of one that stays where it is: at rest
+        bool stuck = false;    // stays where it is whatever happens
+        bool still = false;    // is at its goal and need not move
+        bool settled = false;  // the goal can be held
+        bool gone = false;     // given up, new place not chosen yet: blocks no other
+        int finer = 1;         // its grid is finer by this factor ...
+        FineAxes fine;         // ... or only where it is narrow
+        bool hastened = false; // whether that has been looked for
+        int finer_at_ends = 1; // and by this one more around its start and its goal
+        bool in_hand = true;   // on its way it keeps more than it needs
+        bool tight = false;    // it may not: it would find no path past the others
+        int steps_alone = 0;
+    };
+
   public:
+    // All that may change.
+    struct State {
+        List<Goal, PositionerIndex> goals;
+        std::vector<Refused> refused;
+    };
+    State state() const { return {goals_, refused_}; }
+    void go_back_to(const State &state) { goals_ = state.goals, refused_ = state.refused; }
+
     GoalFeasibility(const Bodies &bodies, const Task &task, const Settings &settings, const Clock &clock);
 
     // Replaces goals until all of them can be held together, and each can be reached if no other positioner
@@ -35,6 +63,13 @@ class GoalFeasibility {
     // Sends a positioner to a place that blocks no other; false if there is none it can reach. One that has
     // been refused before stays where it is.
     bool send_to_safe_place(PositionerIndex i, Refusal why, std::optional<PositionerIndex> other);
+    // Gives up one of two that do not both arrive: the first, or the second if the first can go nowhere where
+    // it blocks no other. If both cannot, the first.
+    void give_up_one(PositionerIndex first, PositionerIndex second, Refusal why);
+    // Sends one that does not arrive, and rests at its start or comes back to it, to another place in
+    // which it is in the way of no more others; false, and as before, if it is not such a one or there is
+    // none.
+    bool go_elsewhere(PositionerIndex i);
     // Makes the grid of a positioner finer around its start and its goal; asked again, twice as fine
     // everywhere instead, and again. False, and as before, if no finer one has a way past what does not move.
     bool refine(PositionerIndex i);
@@ -49,25 +84,6 @@ class GoalFeasibility {
     void has_no_way(PositionerIndex i);
 
   private:
-    struct FineAxes {
-        FineLines alpha, beta;
-    };
-    struct Goal {
-        Angles angles;
-        Descent descent;       // to the angles
-        Legs legs;             // of the descent; of one that stays where it is: at rest
-        bool stuck = false;    // stays where it is whatever happens
-        bool still = false;    // is at its goal and need not move
-        bool settled = false;  // the goal can be held
-        bool gone = false;     // given up, new place not chosen yet: blocks no other
-        int finer = 1;         // its grid is finer by this factor ...
-        FineAxes fine;         // ... or only where it is narrow
-        bool hastened = false; // whether that has been looked for
-        int finer_at_ends = 1; // and by this one more around its start and its goal
-        bool in_hand = true;   // on its way it keeps more than it needs
-        bool tight = false;    // it may not: it would find no path past the others
-        int steps_alone = 0;
-    };
     // A grid as it was made last.
     struct KnownGrid {
         GridSpan span{};
@@ -130,6 +146,8 @@ class GoalFeasibility {
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
     List<Angles> reachable_places(PositionerIndex i);
+    List<SweptArm> straight_way(PositionerIndex i) const;
+    List<Angles> elsewhere(PositionerIndex i, const List<Angles> &places) const;
     bool make_way(PositionerIndex i);
     bool make_room(PositionerIndex i);
 
