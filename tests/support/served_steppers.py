@@ -22,7 +22,7 @@ from fiberloom.twin.steppers.kinds import KINDS
 from fiberloom.twin.steppers.served import GatewayServer, RadioServer, RobotUnits
 from fiberloom.twin.steppers.source import StepperSource
 
-SEED, SPEED = 0, 15.0
+SEED, SPEED = 0, 10.0  # times real time: both ends and other tests share the cores
 SERVERS = {
     "moons": GatewayServer,
     "lamost": RadioServer,
