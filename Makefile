@@ -171,7 +171,7 @@ bench: setup
 	$(BIN)/python benchmarks/startup.py --out build/bench/startup.json
 	$(BIN)/python benchmarks/twin.py --out build/bench/twin.json
 	$(BIN)/python benchmarks/twin_server.py --out build/bench/twin_server.json
-	$(BIN)/python benchmarks/workers.py --out build/bench/workers.json
+	$(BIN)/python benchmarks/campaigns/workers.py --out build/bench/workers.json
 	-$(MAKE) kaiju
 	$(BIN)/python -m benchmarks.planning --buffer 2.0 2.5 --out build/bench/planning.json || test $$? = 3
 	$(BIN)/python benchmarks/collision.py meet --out build/bench/collision.json

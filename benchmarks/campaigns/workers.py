@@ -1,6 +1,6 @@
 """A campaign on Dask workers of this machine: unit-cycles an hour and worker, beside one process. JSON out.
 
-    python benchmarks/workers.py [--positioners 16] [--cycles 8] [--workers 1 2] [--out FILE]
+    python benchmarks/campaigns/workers.py [--positioners 16] [--cycles 8] [--workers 1 2] [--out FILE]
 
 The lifetime test of Fig. 21: a cycle of a unit is an automatic calibration and 1220 targets of ten moves.
 The first row is this process alone, without a scheduler. Wall time is what users wait, and means something on

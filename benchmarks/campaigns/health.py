@@ -1,6 +1,6 @@
 """Health over positioner-years: share of faults found, delay in moves, false alarms. JSON out.
 
-    python benchmarks/health.py --units 1000 --fields 8000 --workers 2 --out health.json
+    python benchmarks/campaigns/health.py --units 1000 --fields 8000 --workers 2 --out health.json
 
 A year is 8000 fields of a blind move and two corrections (24 000 moves). Goes on where it was killed
 (`--folder`).
