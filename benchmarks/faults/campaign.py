@@ -184,7 +184,7 @@ def _alone(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise InputError(f"{folder}: another campaign runs there; choose another --out") from None
+            raise InputError(f"{folder}: another campaign runs there; choose another folder") from None
         yield
 
 
