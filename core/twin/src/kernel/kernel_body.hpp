@@ -216,16 +216,37 @@ inline uint64_t lanes_out_of_cell(const Tick &t, int chunk) {
 
 // -- inside a tick, in registers -----------------------------------------------------------------
 
+// A compiler that leaves a call or a loop inside a substep keeps what moves in memory, and a tick waits for
+// it: twice as long.
+#define FL_INLINED __attribute__((always_inline))
+
+constexpr int chunk_vectors = chunk_size / width;
+
+// What for each number below count: without a loop where all fits into the registers of the machine.
+template <int count, class What> FL_INLINED inline void in_turn(What &&what) {
+    if constexpr (width < 16) {
+        for (int n = 0; n < count; ++n) what(n);
+    } else {
+        if constexpr (count > 1) in_turn<count - 1>(what);
+        what(count - 1);
+    }
+}
+
+// The first lane of vector n of some chunks.
+FL_INLINED inline int lane_of(const int *chunks, int n) {
+    return chunks[n / chunk_vectors] + n % chunk_vectors * width;
+}
+
 struct Motion {
     V turned, p, gear, sine, cosine;
 };
 
-inline Motion load_motion(const Tick &t, int i) {
+FL_INLINED inline Motion load_motion(const Tick &t, int i) {
     return {load(t.turned_rad + i), load(t.g.p_Nms + i), load(t.gear_ahead_rad + i), load(t.g.sine + i),
             load(t.g.cosine + i)};
 }
 
-inline void store_motion(Tick &t, int i, const Motion &m) {
+FL_INLINED inline void store_motion(Tick &t, int i, const Motion &m) {
     store(t.turned_rad + i, m.turned);
     store(t.g.p_Nms + i, m.p);
     store(t.gear_ahead_rad + i, m.gear);
@@ -235,7 +256,7 @@ inline void store_motion(Tick &t, int i, const Motion &m) {
 
 // The series are cut where, at 600 rad/s and 50 us, they err by 5e-8 a step: the torque feels it in the
 // seventh digit, and each tick starts from exact values again.
-template <class M> inline void drift(M &m, V by) {
+template <class M> FL_INLINED inline void drift(M &m, V by) {
     const V z = by * by;
     const V s = by - by * (z * (1.0f / 6.0f)), c = 1.0f - 0.5f * z;
     const V turned = m.sine * c + m.cosine * s;
@@ -245,7 +266,7 @@ template <class M> inline void drift(M &m, V by) {
 }
 
 // Magnet and coils, and cogging of two and four cycles: cos 2t = 1 - 2 sin^2 t, cos 4t = 1 - 2 sin^2 2t.
-inline V torque_impulse(const Tick &t, int i, V s, V c) {
+FL_INLINED inline V torque_impulse(const Tick &t, int i, V s, V c) {
     const V twice = s + s, s2 = twice * c, c2 = 1.0f - twice * s;
     const V even = load(t.g.cog_2c_Nms + i) * c2 + load(t.g.cog_4c_Nms + i);
     const V odd =
@@ -259,13 +280,13 @@ struct Contact {
 
 // The gear gives way to the side that closes the gap, and stays where it is otherwise: it cannot be driven
 // back. In contact both sides are the same number, not nearly so.
-inline Contact close_gap(const Tick &t, int i, V turned, V &gear) {
+FL_INLINED inline Contact close_gap(const Tick &t, int i, V turned, V &gear) {
     const V from_below = load(t.closed_rad + i) + turned * load(t.closed_scale + i);
     gear = smaller(larger(gear, from_below), turned);
     return {from_below >= gear, turned <= gear};
 }
 
-inline V step_per_p(const Tick &t, int i, Mask pushing) {
+FL_INLINED inline V step_per_p(const Tick &t, int i, Mask pushing) {
     return pushing ? load(t.g.step_per_p_push + i) : load(t.g.step_per_p_free + i);
 }
 
@@ -275,7 +296,7 @@ constexpr float stick_share = 1e-5f;
 
 // One kick at the middle of a step: contact, set-valued friction, trapezoidal drag. Returns the drift
 // of a whole step with the new momentum. Eq. 3, 4 and 8; docs/twin.md.
-inline V kick(const Tick &t, int i, Motion &m) {
+FL_INLINED inline V kick(const Tick &t, int i, Motion &m) {
     const Contact contact = close_gap(t, i, m.turned, m.gear);
     const V motor = load(t.g.coulomb_motor_Nms + i);
     const V up = motor + both(contact.positive, load(t.resist_up_Nms + i));
@@ -291,7 +312,7 @@ inline V kick(const Tick &t, int i, Motion &m) {
 }
 
 // The half drift at the start of a tick needs the mode in which the last one ended.
-inline V drift_now(const Tick &t, int i, const Motion &m) {
+FL_INLINED inline V drift_now(const Tick &t, int i, const Motion &m) {
     V gear = m.gear;
     const Contact contact = close_gap(t, i, m.turned, gear);
     return m.p * step_per_p(t, i, (contact.positive & (m.p > V{})) | (contact.negative & (m.p < V{})));
@@ -302,7 +323,7 @@ struct Done {
     alignas(64) int32_t lane[lane_count];
 };
 
-inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
+FL_INLINED inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
     const Mask had = *reinterpret_cast<const Mask *>(done.lane + i);
     const Motion before = load_motion(t, i);
     m.turned = had ? before.turned : m.turned;
@@ -314,18 +335,16 @@ inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
 // Half drift, kick, half drift; two half drifts between kicks are one. All chunks stay in registers over
 // the substeps, and take turns inside each, so that the processor has independent ones to work on.
 template <int count> inline void move(Tick &t, const int *chunks, int substeps, const Done *done) {
-    constexpr int vectors = chunk_size / width;
-    Motion motion[count][vectors];
-    const auto each = [&](auto &&what) {
-        for (int k = 0; k < count; ++k)
-            for (int v = 0; v < vectors; ++v) what(motion[k][v], chunks[k] + v * width);
+    Motion motion[count * chunk_vectors];
+    const auto each = [&](auto &&what) FL_INLINED {
+        in_turn<count * chunk_vectors>([&](int n) FL_INLINED { what(motion[n], lane_of(chunks, n)); });
     };
-    each([&](Motion &m, int i) {
+    each([&](Motion &m, int i) FL_INLINED {
         m = load_motion(t, i);
         drift(m, 0.5f * drift_now(t, i, m));
     });
-    for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) { drift(m, kick(t, i, m)); });
-    each([&](Motion &m, int i) {
+    for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) FL_INLINED { drift(m, kick(t, i, m)); });
+    each([&](Motion &m, int i) FL_INLINED {
         drift(m, 0.5f * kick(t, i, m));
         if (done == nullptr)
             store_motion(t, i, m);
@@ -344,11 +363,13 @@ struct Pushing {
     Mask down; // the sign bit where that is to smaller angles
 };
 
-inline Mask still(const Tick &t, int i) { return *reinterpret_cast<const Mask *>(t.g.still + i); }
-inline V turned_by(V v, Mask sign) { return reinterpret_cast<V>(reinterpret_cast<Mask>(v) ^ sign); }
+FL_INLINED inline Mask still(const Tick &t, int i) { return *reinterpret_cast<const Mask *>(t.g.still + i); }
+FL_INLINED inline V turned_by(V v, Mask sign) {
+    return reinterpret_cast<V>(reinterpret_cast<Mask>(v) ^ sign);
+}
 
 // Lanes that set out pushing, or are still.
-inline Mask sets_out_pushing(const Tick &t, int i) {
+FL_INLINED inline Mask sets_out_pushing(const Tick &t, int i) {
     const V p = load(t.g.p_Nms + i);
     V gear = load(t.gear_ahead_rad + i);
     const Contact contact = close_gap(t, i, load(t.turned_rad + i), gear);
@@ -357,17 +378,17 @@ inline Mask sets_out_pushing(const Tick &t, int i) {
 
 // What a step of a rotor that pushes needs beside impulses. `coarse`: of the longer steps; the momentum is
 // then told in steps, too, by the share `per_step` of its own, so that every impulse stays as it is.
-template <bool coarse> inline V drag_of(const Tick &t, int i) {
+template <bool coarse> FL_INLINED inline V drag_of(const Tick &t, int i) {
     return load((coarse ? t.g.drag_coarse : t.g.drag_push) + i);
 }
-template <bool coarse> inline V drag_inverse_of(const Tick &t, int i) {
+template <bool coarse> FL_INLINED inline V drag_inverse_of(const Tick &t, int i) {
     return load((coarse ? t.g.drag_coarse_inverse : t.g.drag_push_inverse) + i);
 }
-template <bool coarse> inline V way_per_p(const Tick &t, int i) {
+template <bool coarse> FL_INLINED inline V way_per_p(const Tick &t, int i) {
     return load((coarse ? t.g.step_per_p_coarse : t.g.step_per_p_push) + i);
 }
 
-inline Pushing load_pushing(const Tick &t, int i, float per_step) {
+FL_INLINED inline Pushing load_pushing(const Tick &t, int i, float per_step) {
     const V p = load(t.g.p_Nms + i) * per_step, motor = load(t.g.coulomb_motor_Nms + i);
     const V up = motor + load(t.resist_up_Nms + i), down = motor + load(t.resist_down_Nms + i);
     const Mask falls = p < V{};
@@ -376,7 +397,7 @@ inline Pushing load_pushing(const Tick &t, int i, float per_step) {
 }
 
 // kick() where the rotor pushes.
-template <bool coarse> inline V push(const Tick &t, int i, Pushing &m) {
+template <bool coarse> FL_INLINED inline V push(const Tick &t, int i, Pushing &m) {
     const V free = m.p + torque_impulse(t, i, m.sine, m.cosine);
     const V moved = free - drag_of<coarse>(t, i) * m.p - m.resist;
     m.slowest = smaller(m.slowest, turned_by(moved, m.down));
@@ -385,12 +406,12 @@ template <bool coarse> inline V push(const Tick &t, int i, Pushing &m) {
 }
 
 // Lanes that have pushed all the time, or are still.
-inline Mask kept_pushing(const Tick &t, int i, const Pushing &m) {
+FL_INLINED inline Mask kept_pushing(const Tick &t, int i, const Pushing &m) {
     return (m.slowest > load(t.g.coulomb_motor_Nms + i) * stick_share) | still(t, i);
 }
 
 // turned: at the last kick, which sets the gear.
-inline void store_pushing(Tick &t, int i, const Pushing &m, V turned) {
+FL_INLINED inline void store_pushing(Tick &t, int i, const Pushing &m, V turned) {
     const Mask moves = ~still(t, i);
     V gear = load(t.gear_ahead_rad + i);
     close_gap(t, i, both(moves, turned), gear);
@@ -400,7 +421,7 @@ inline void store_pushing(Tick &t, int i, const Pushing &m, V turned) {
 }
 
 // The same for some of the lanes; the others stay as they are.
-inline void store_lanes(Tick &t, int i, Mask lanes, const Pushing &m, V turned, float steps) {
+FL_INLINED inline void store_lanes(Tick &t, int i, Mask lanes, const Pushing &m, V turned, float steps) {
     const V before = load(t.gear_ahead_rad + i);
     V gear = before;
     close_gap(t, i, turned, gear);
@@ -409,7 +430,7 @@ inline void store_lanes(Tick &t, int i, Mask lanes, const Pushing &m, V turned, 
     store(t.g.p_Nms + i, lanes ? m.p * steps : load(t.g.p_Nms + i));
 }
 
-inline bool all(Mask flags) {
+FL_INLINED inline bool all(Mask flags) {
 #if FL_KERNEL_WIDTH == 16
     return _mm512_movepi32_mask(reinterpret_cast<__m512i>(flags)) == 0xffff;
 #elif FL_KERNEL_WIDTH == 8
@@ -422,9 +443,9 @@ inline bool all(Mask flags) {
 }
 
 // Whether a flag is set in all lanes of a chunk.
-template <class Flags> inline bool all_of_chunk(int chunk, Flags &&flags_of) {
+template <class Flags> FL_INLINED inline bool all_of_chunk(int chunk, Flags &&flags_of) {
     Mask every = flags_of(chunk, 0);
-    for (int v = 1; v < chunk_size / width; ++v) every &= flags_of(chunk + v * width, v);
+    for (int v = 1; v < chunk_vectors; ++v) every &= flags_of(chunk + v * width, v);
     return all(every);
 }
 
@@ -435,28 +456,30 @@ struct Chunks {
     void add(int chunk) { at[count++] = chunk; }
 };
 
-// The motion of some chunks that push, at the end of a tick, and as it was at the last kick.
+// The motion of some chunks that push, vector by vector: at the end of a tick, and as it was at the last
+// kick.
 template <int count> struct Push {
-    static constexpr int vectors = chunk_size / width;
-    Pushing motion[count][vectors];
-    V turned[count][vectors];
+    Pushing motion[count * chunk_vectors];
+    V turned[count * chunk_vectors];
 };
 
 template <int count, bool coarse>
-inline void push_through(const Tick &t, const int *chunks, int substeps, float per_step, Push<count> &p) {
-    const auto each = [&](auto &&what) {
-        for (int k = 0; k < count; ++k)
-            for (int v = 0; v < Push<count>::vectors; ++v)
-                what(p.motion[k][v], chunks[k] + v * width, p.turned[k][v]);
+FL_INLINED inline void push_through(const Tick &t, const int *chunks, int substeps, float per_step,
+                                    Push<count> &p) {
+    Pushing motion[count * chunk_vectors];
+    const auto each = [&](auto &&what) FL_INLINED {
+        in_turn<count * chunk_vectors>([&](int n) FL_INLINED { what(motion[n], lane_of(chunks, n)); });
     };
-    each([&](Pushing &m, int i, V &) {
+    each([&](Pushing &m, int i) FL_INLINED {
         m = load_pushing(t, i, per_step);
         drift(m, 0.5f * (m.p * way_per_p<coarse>(t, i)));
     });
-    for (int n = 1; n < substeps; ++n) each([&](Pushing &m, int i, V &) { drift(m, push<coarse>(t, i, m)); });
-    each([&](Pushing &m, int i, V &at_kick) {
-        at_kick = m.turned;
-        drift(m, 0.5f * push<coarse>(t, i, m));
+    for (int n = 1; n < substeps; ++n)
+        each([&](Pushing &m, int i) FL_INLINED { drift(m, push<coarse>(t, i, m)); });
+    in_turn<count * chunk_vectors>([&](int n) FL_INLINED {
+        p.turned[n] = motion[n].turned;
+        drift(motion[n], 0.5f * push<coarse>(t, lane_of(chunks, n), motion[n]));
+        p.motion[n] = motion[n];
     });
 }
 
@@ -467,11 +490,13 @@ template <int count> inline void move_pushing(Tick &t, const int *chunks, int su
     push_through<count, false>(t, chunks, substeps, 1.0f, p);
     for (int k = 0; k < count; ++k) {
         const int chunk = chunks[k];
-        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(t, i, p.motion[k][v]); }))
+        if (!all_of_chunk(chunk,
+                          [&](int i, int v) { return kept_pushing(t, i, p.motion[k * chunk_vectors + v]); }))
             others.add(chunk);
         else
-            for (int v = 0; v < Push<count>::vectors; ++v)
-                store_pushing(t, chunk + v * width, p.motion[k][v], p.turned[k][v]);
+            for (int v = 0; v < chunk_vectors; ++v)
+                store_pushing(t, chunk + v * width, p.motion[k * chunk_vectors + v],
+                              p.turned[k * chunk_vectors + v]);
     }
 }
 
@@ -489,17 +514,18 @@ inline void move_coarsely(Tick &t, const int *chunks, Substeps substeps, Chunks 
     for (int k = 0; k < count; ++k) {
         const int chunk = chunks[k];
         const auto keep = [&](int i, int v) {
-            const Mask lanes = sets_out_pushing(t, i) & kept_pushing(t, i, p.motion[k][v]) & ~still(t, i);
+            const Mask lanes =
+                sets_out_pushing(t, i) & kept_pushing(t, i, p.motion[k * chunk_vectors + v]) & ~still(t, i);
             *reinterpret_cast<Mask *>(done.lane + i) = lanes;
             return lanes | still(t, i);
         };
         Mask every = keep(chunk, 0);
-        for (int v = 1; v < Push<count>::vectors; ++v) every &= keep(chunk + v * width, v);
+        for (int v = 1; v < chunk_vectors; ++v) every &= keep(chunk + v * width, v);
         if (!all(every)) others.add(chunk);
-        for (int v = 0; v < Push<count>::vectors; ++v) {
+        for (int v = 0; v < chunk_vectors; ++v) {
             const int i = chunk + v * width;
             const Mask lanes = *reinterpret_cast<const Mask *>(done.lane + i);
-            store_lanes(t, i, lanes, p.motion[k][v], p.turned[k][v], steps);
+            store_lanes(t, i, lanes, p.motion[k * chunk_vectors + v], p.turned[k * chunk_vectors + v], steps);
         }
     }
 }
