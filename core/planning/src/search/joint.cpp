@@ -142,6 +142,8 @@ void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
         const Node &known = nodes_[place.node];
         if (known.closed || known.cost <= cost) return;
     }
+    // most places are known by now, and that is seen sooner than whether arms touch
+    if (!apart_from_before(count() - 1, moves)) return;
     const Node reached{cells, moves, from, step, cost, false};
     NodeId node = place.node;
     if (node == NodeId()) {
@@ -155,16 +157,22 @@ void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
     push(node);
 }
 
-// All combinations of moves in which those chosen so far stay apart.
+bool JointSearch::apart_from_before(int which, const Moves &moves) {
+    for (int k = 0; k < which; ++k)
+        if (!apart(k, which, moves.of[k], moves.of[which])) return false;
+    return true;
+}
+
+// All combinations of moves. Whether the last one stays apart from the others is looked at where a place is
+// reached.
 void JointSearch::combine(NodeId from, int which, Moves &moves, int cost) {
     if (which >= std::min(count(), most)) return reach(from, moves, cost);
+    const bool last = which == count() - 1;
     for (int move = 0; move < 9; ++move) {
         if (!options_[which].possible[move]) continue;
-        bool free = true;
-        for (int k = 0; free && k < which; ++k) free = apart(k, which, moves.of[k], move);
-        if (!free) continue;
         moves.of[which] = static_cast<Move>(move);
-        combine(from, which + 1, moves, cost + options_[which].cost[move]);
+        if (last || apart_from_before(which, moves))
+            combine(from, which + 1, moves, cost + options_[which].cost[move]);
     }
 }
 

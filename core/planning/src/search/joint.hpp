@@ -72,6 +72,7 @@ class JointSearch {
     void list_options(const Node &from);
     void list_options(int which, const Node &from);
     bool apart(int p, int q, int move_p, int move_q);
+    bool apart_from_before(int which, const Moves &moves);
     void expand(NodeId from);
     void combine(NodeId from, int which, Moves &moves, int cost);
     void reach(NodeId from, const Moves &moves, int cost);
