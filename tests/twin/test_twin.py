@@ -62,11 +62,11 @@ def test_replies_come_by_time_then_by_positioner():
     assert twin.run(0.5) == []
 
 
-@pytest.mark.parametrize("steps", [{}, {"substeps": ADAPTIVE}])
+@pytest.mark.parametrize("steps", [10, ADAPTIVE])
 def test_same_bytes_for_any_number_of_threads(steps):
     runs = set()
     for threads in (1, 2, 5):
-        twin = make(threads=threads, neighbours=True, start_deg=None, **steps)
+        twin = make(threads=threads, neighbours=True, start_deg=None, substeps=steps)
         runs.add(bytes_of(twin, move_all(twin)))
     assert len(runs) == 1
 

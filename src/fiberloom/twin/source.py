@@ -21,6 +21,7 @@ from fiberloom.instruments import FocalPlane
 from fiberloom.twin.draw import draw_units, put_in
 from fiberloom.twin.errors.sizes import TwinErrors
 from fiberloom.twin.hardware import bench_hardware, check_camera, check_motors, draw_faults, field_hardware
+from fiberloom.twin.twin import ADAPTIVE
 from fiberloom.twin.units import Units
 from fiberloom.version import core_digest
 
@@ -37,6 +38,8 @@ class _Key:
     """Digest of the true units: on a twin, other units are other hardware."""
     core: str
     """Digest of the compiled core: another twin moves the same units otherwise, to the last bits."""
+    steps: tuple[int, int]
+    """Substeps of the twin's plant: other steps are other motions, to the last bits too."""
 
 
 class TwinSource:
@@ -81,7 +84,7 @@ class TwinSource:
 
     def maps_file(self, points: int) -> Path | None:
         """The cache's file of these units."""
-        key = _Key(SweepSettings(points), self.bench_units.digest(), core_digest())
+        key = _Key(SweepSettings(points), self.bench_units.digest(), core_digest(), ADAPTIVE)
         return cache_path(self.plane.config_hash(), self.seed, key)
 
     def know(self, file: Path) -> None:

@@ -63,8 +63,8 @@ class Computing(TypedDict, total=False):
     kernel: str
     """Instruction set of the inner loops; empty: the best."""
     substeps: int | tuple[int, int]
-    """Of the plant in a tick, 10 unless told; a second number is that of a tick in which an axis pushes its
-    gear all the time: `ADAPTIVE`. Other numbers are other physics."""
+    """Of the plant in a tick, `ADAPTIVE` unless told; a second number is that of a tick in which an axis
+    pushes its gear all the time. Other numbers are other physics."""
 
 
 class Twin:
@@ -107,7 +107,7 @@ class Twin:
             setup.neighbours = neighbours
             setup.skip_resting = computing.get("skip_resting", True)
             setup.side_by_side = computing.get("side_by_side", True)
-            setup.substeps = computing.get("substeps", 10)
+            setup.substeps = computing.get("substeps", ADAPTIVE)
             setup.kernel = computing.get("kernel", "")
             self._core = _core.Twin(setup)
             if units.loaded:

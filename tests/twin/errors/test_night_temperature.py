@@ -168,6 +168,13 @@ def test_another_core_is_swept_anew(monkeypatch):
     assert source.maps_file(200) != swept
 
 
+def test_other_steps_of_the_plant_are_swept_anew(monkeypatch):
+    source = TwinSource(PLANE, 0, "noise", "")
+    swept = source.maps_file(200)
+    monkeypatch.setattr("fiberloom.twin.source.ADAPTIVE", (10, 10))
+    assert source.maps_file(200) != swept
+
+
 # the bus
 
 
