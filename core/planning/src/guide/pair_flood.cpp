@@ -11,22 +11,43 @@ namespace {
 constexpr int fewer_steps = 4; // by which there is less time, until there is room
 
 // out |= from, word by word.
-FL_INLINE void add_words(const std::uint64_t *from, int count, std::uint64_t *out) {
+FL_INLINE void add_words(const std::uint64_t *__restrict from, int count, std::uint64_t *__restrict out) {
     for (int k = 0; k < count; ++k) out[k] |= from[k];
 }
 
 // Each bit, and those beside it.
-inline std::uint64_t with_beside(std::uint64_t word) { return word | word << 1 | word >> 1; }
+FL_INLINE std::uint64_t with_beside(std::uint64_t word) { return word | word << 1 | word >> 1; }
 
-// Of all lines, those beside them included, to lines that may begin and end one earlier or later.
-FL_INLINE void spread_lines(const std::uint64_t *from, int from_first, int from_end, std::uint64_t *out,
-                            int first, int end) {
-    for (int beta = first; beta < end; ++beta) {
-        std::uint64_t word = 0;
-        for (int b = std::max(beta - 1, from_first); b <= std::min(beta + 1, from_end - 1); ++b)
-            word |= from[b - from_first];
-        out[beta - first] = with_beside(word);
+// A line and those beside it, of those that there are.
+FL_INLINE std::uint64_t around_line(const std::uint64_t *from, int first, int end, int beta) {
+    std::uint64_t word = 0;
+    for (int b = std::max(beta - 1, first); b <= std::min(beta + 1, end - 1); ++b) word |= from[b - first];
+    return with_beside(word);
+}
+
+// Of all lines, those beside them included, to lines that may begin and end one earlier or later. Lines
+// between two others, which are most, are taken several at once.
+FL_INLINE void spread_lines(const std::uint64_t *__restrict from, int from_first, int from_end,
+                            std::uint64_t *__restrict out, int first, int end) {
+    const int low = std::clamp(from_first + 1, first, end), high = std::clamp(from_end - 1, low, end);
+    for (int beta = first; beta < low; ++beta)
+        out[beta - first] = around_line(from, from_first, from_end, beta);
+    const std::uint64_t *__restrict here = from + (low - from_first);
+    std::uint64_t *__restrict to = out + (low - first);
+    for (int k = 0; k < high - low; ++k) to[k] = with_beside(here[k - 1] | here[k] | here[k + 1]);
+    for (int beta = high; beta < end; ++beta)
+        out[beta - first] = around_line(from, from_first, from_end, beta);
+}
+
+// Of some words those that are free; whether any is left.
+FL_INLINE bool keep_free(const std::uint64_t *__restrict apart, const std::uint64_t *__restrict free,
+                         int count, std::uint64_t *__restrict out) {
+    std::uint64_t any = 0;
+    for (int k = 0; k < count; ++k) {
+        out[k] &= apart[k] & free[k];
+        any |= out[k];
     }
+    return any != 0;
 }
 
 // Of those of alpha that are kept: around its way.
@@ -170,16 +191,23 @@ FL_CLONES void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
         }
 }
 
+// Lines of the second one at a step: cells in its box in which nothing is in its way.
+void PairFlood::list_free(int step, const Box &box) {
+    const std::uint64_t inside =
+        (box.width() >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << box.width()) - 1)
+        << (box.alpha - sides_[1].first_alpha());
+    free_.clear();
+    for (int beta = box.beta; beta < box.end_beta; ++beta)
+        free_.push_back(inside & sides_[1].free(beta, step));
+}
+
 // False if there are no cells left.
 FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
     const Layer &from = layers_[step + 1], &to = layers_[step];
     spread_second(from, to);
     spread_alpha(from, to);
+    list_free(step, to.second);
     const int lines = to.second.lines(), width = to.first.width() * lines;
-    const Box &box = to.second;
-    const std::uint64_t left_out =
-        (box.width() >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << box.width()) - 1)
-        << (box.alpha - sides_[1].first_alpha());
     bool any = false;
     for (int beta = to.first.beta; beta < to.first.end_beta; ++beta)
         for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
@@ -194,11 +222,7 @@ FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
             std::uint64_t some = 0;
             for (int k = 0; k < lines; ++k) some |= out[k];
             if (some == 0) continue;
-            const std::uint64_t *apart = apart_from(c, touching) + box.beta;
-            for (int k = 0; k < lines; ++k) {
-                out[k] &= apart[k] & left_out & sides_[1].free(box.beta + k, step);
-                any |= out[k] != 0;
-            }
+            any |= keep_free(apart_from(c, touching) + to.second.beta, free_.data(), lines, out);
         }
     return any;
 }

@@ -97,6 +97,7 @@ class PairFlood {
     const std::uint64_t *apart_from(Cell first, const Touching &touching);
     void spread_second(const Layer &from, const Layer &to);
     void spread_alpha(const Layer &from, const Layer &to);
+    void list_free(int step, const Box &box);
     bool step_back(int step, const Touching &touching);
 
     FloodSide sides_[2];
@@ -104,6 +105,7 @@ class PairFlood {
     List<Layer> layers_; // of each step
     List<std::uint64_t> words_;
     List<std::uint64_t> spread_, wide_; // a step back: by moves of the second one; and by alpha of the first
+    List<std::uint64_t> free_;          // lines of the second one at a step
     List<std::uint64_t> apart_;         // lines of the second one for each cell of the first, once asked for
     List<int> apart_at_;                // where they begin; -1: not asked for
 };
