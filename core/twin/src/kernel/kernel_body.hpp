@@ -204,14 +204,19 @@ inline uint64_t bits_of(ExactMask flags) {
 #endif
 }
 
-// A bit for each lane whose gear has left its cell.
-inline uint64_t lanes_out_of_cell(const Tick &t, int chunk) {
-    uint64_t out = 0;
+typedef float Narrow __attribute__((vector_size(2 * width), may_alias));
+
+// Which gears have left their cells, and which are about to.
+inline void look_at_cells(const Tick &t, int chunk, TickEvents &events) {
     for (int i = chunk; i < chunk + chunk_size; i += exact_width) {
-        const Exact gear = load(t.g.gear_rad + i);
-        out |= bits_of((gear < load(t.g.cell_lo_rad + i)) | (gear >= load(t.g.cell_hi_rad + i))) << i;
+        const Exact gear = load(t.g.gear_rad + i), lo = load(t.g.cell_lo_rad + i),
+                    hi = load(t.g.cell_hi_rad + i);
+        const Narrow turned = *reinterpret_cast<const Narrow *>(t.turned_rad + i);
+        const Exact later = gear + 2.0 * __builtin_convertvector(turned, Exact);
+        const ExactMask out = (gear < lo) | (gear >= hi);
+        events.left_cell |= bits_of(out) << i;
+        events.will_leave |= bits_of(out | (later < lo) | (later >= hi)) << i;
     }
-    return out;
 }
 
 // -- inside a tick, in registers -----------------------------------------------------------------
@@ -603,7 +608,7 @@ TickEvents step(AxisGroup &g, Substeps substeps) {
     TickEvents events;
     for (int k = 0; k < moving.count; ++k) {
         end_ways(t, moving.at[k]);
-        events.left_cell |= lanes_out_of_cell(t, moving.at[k]);
+        look_at_cells(t, moving.at[k], events);
     }
     return events;
 }

@@ -71,6 +71,7 @@ struct alignas(64) AxisGroup {
 // What happened in a tick, one bit per lane.
 struct TickEvents {
     uint64_t left_cell = 0;
+    uint64_t will_leave = 0; // its cell within two more such ticks, or has done so
 };
 
 // Steps of a tick: of any axis, and of one that pushes its gear all the time.
