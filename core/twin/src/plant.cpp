@@ -371,6 +371,18 @@ void Plant::configure_stops(size_t axis) {
     set(axis, &AxisGroup::stop_hi_rad, gear_at(p.stop_max - slip_rad));
     set(axis, &AxisGroup::stop_Nms,
         broken(axis).faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio));
+    look_for_stops(axis);
+}
+
+// Where no gear of a chunk may be at a stop, the plant does not ask. A gear that has left its cell is a
+// little further on.
+void Plant::look_for_stops(size_t axis) {
+    constexpr double spare_rad = 1.0;
+    AxisGroup &g = group_of(axis);
+    const auto at = static_cast<size_t>(place(axis).lane);
+    const bool near = g.cell_lo_rad[at] - spare_rad < g.stop_lo_rad[at] ||
+                      g.cell_hi_rad[at] + spare_rad > g.stop_hi_rad[at];
+    g.near_stop = (g.near_stop & ~(uint64_t{1} << at)) | uint64_t{near} << at;
 }
 
 void Plant::configure_hall(size_t axis) {
@@ -392,6 +404,7 @@ void Plant::load_cell(size_t axis) {
     g.backlash_scale[at] = 1.0 / (1.0 + backlash.slope);
     g.cell_lo_rad[at] = cell.lo.gear_rad;
     g.cell_hi_rad[at] = cell.hi.gear_rad;
+    look_for_stops(axis);
 }
 
 // From where it was.

@@ -191,6 +191,7 @@ class Plant {
     void configure_stops(size_t axis);
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
+    void look_for_stops(size_t axis);
     void fetch(size_t axis) const;
     void fetch_gear(size_t axis) const;
     void seek_cell(size_t axis, double gear_rad);
