@@ -93,9 +93,10 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
+    foreseen_.assign(groups_.size(), 0);
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
-        axes_[axis].params = {first_params_[axis % 2], units[axis].params};
+        keep_params(axis, units[axis].params);
         axes_[axis].gear = Gear(units[axis].transmission);
         group_of(axis).noise_key[place(axis).lane] = noise_key(seed, axis);
         axes_[axis].seat.key = noise_key(~seed, axis);
@@ -117,9 +118,20 @@ void Plant::step(size_t group, uint64_t used) {
     AxisGroup &g = groups_[group];
     kernel_->drive(g, used);
     const TickEvents events = kernel_->step(g, substeps_);
+    foresee_cells(group, events.will_leave);
     if (events.left_cell != 0) follow_cells(group, events.left_cell);
     for (uint64_t left = slipping_[group]; left != 0; left &= left - 1)
         slip(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+}
+
+// What a new cell needs may lie far from the processor: it is asked for two ticks before, and the amplitudes
+// of the gear, of which the axis tells whether they are needed, a tick before.
+void Plant::foresee_cells(size_t group, uint64_t lanes) {
+    const uint64_t before = std::exchange(foreseen_[group], lanes);
+    for (uint64_t left = lanes & before; left != 0; left &= left - 1)
+        fetch_gear(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    for (uint64_t left = lanes & ~before; left != 0; left &= left - 1)
+        fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
 }
 
 // Gears that left their cell inside a tick. One thing of all of them, then the next: what takes long of one
@@ -132,34 +144,34 @@ void Plant::follow_cells(size_t group, uint64_t lanes) {
         size_t k = 0;
         for (uint64_t left = lanes; left != 0; left &= left - 1, ++k)
             what(k, static_cast<size_t>(__builtin_ctzll(left)));
+        return k;
     };
-    int count = 0;
-    each([&](size_t, size_t lane) {
-        fetch(axis_at(group, lane));
-        ++count;
-    });
-    each([&](size_t k, size_t lane) { nodes[k] = follow_cell(axis_at(group, lane)); });
+    const size_t count = each([&](size_t k, size_t lane) { nodes[k] = follow_cell(axis_at(group, lane)); });
     each([&](size_t k, size_t lane) { counter[k] = axes_[axis_at(group, lane)].seat.counter(); });
-    kernel_->bells(counter, bell, count);
+    kernel_->bells(counter, bell, static_cast<int>(count));
     each([&](size_t k, size_t lane) { follow_seat(axis_at(group, lane), nodes[k], bell[k]); });
 }
 
-// It may lie far from the processor: what a new cell asks for, at once.
+// Asks for what a new cell changes.
 void Plant::fetch(size_t axis) const {
     constexpr size_t line = 64;
     const auto *begin = reinterpret_cast<const char *>(&axes_[axis]);
-    for (size_t at = 0; at < offsetof(Axis, params); at += line) __builtin_prefetch(begin + at, 1);
+    for (size_t at = 0; at < offsetof(Axis, broken); at += line) __builtin_prefetch(begin + at, 1);
+    __builtin_prefetch(begin + offsetof(Axis, broken), 1);
 }
 
-// Next to the end of a block the amplitudes of the gear will soon be asked for: a node later, at least.
+// Next to the end of a block: for the amplitudes of the gear.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
     const Axis &a = axes_[axis];
-    const int32_t at = a.cell.index & (block_nodes - 1);
-    if (at != 0 && at != block_nodes - 3) return;
+    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
+    const bool up = gear_rad - a.cell.lo.gear_rad > a.cell.hi.gear_rad - gear_rad;
+    if ((a.cell.index & (block_nodes - 1)) != (up ? block_nodes - 2 : 0)) return;
     const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
     const size_t bytes = a.gear.wave_count * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
+    // to gcc a function that only asks for memory does nothing, and it leaves out the call
+    asm volatile("");
 }
 
 double Plant::geared_rad(size_t axis) const {
@@ -242,7 +254,7 @@ void Plant::set_faults(size_t axis, AxisFaults faults) {
 
 void Plant::set_params(size_t axis, const PlantParams &params) {
     check_params(axis, params);
-    axes_[axis].params = {first_params_[axis % 2], params};
+    keep_params(axis, params);
     axes_[axis].block = {};
     set(axis, &AxisGroup::still, 0);
     configure(axis);
@@ -272,6 +284,12 @@ void Plant::put(size_t axis, double output_rad) {
     load_cell(axis);
     set(axis, &AxisGroup::gear_rad, gear_of_output(a.cell, output_rad));
     set(axis, &AxisGroup::theta_rad, lane(axis, &AxisGroup::gear_rad));
+}
+
+void Plant::keep_params(size_t axis, PlantParams params) {
+    axes_[axis].seat.rms_rad = params.seat_rms;
+    params.seat_rms = first_params_[axis % 2].seat_rms;
+    axes_[axis].params = {first_params_[axis % 2], params};
 }
 
 void Plant::configure(size_t axis) {
@@ -353,6 +371,18 @@ void Plant::configure_stops(size_t axis) {
     set(axis, &AxisGroup::stop_hi_rad, gear_at(p.stop_max - slip_rad));
     set(axis, &AxisGroup::stop_Nms,
         broken(axis).faults.lying ? 0.0 : h_s_ * series / (p.gear_ratio * p.gear_ratio));
+    look_for_stops(axis);
+}
+
+// Where no gear of a chunk may be at a stop, the plant does not ask. A gear that has left its cell is a
+// little further on.
+void Plant::look_for_stops(size_t axis) {
+    constexpr double spare_rad = 1.0;
+    AxisGroup &g = group_of(axis);
+    const auto at = static_cast<size_t>(place(axis).lane);
+    const bool near = g.cell_lo_rad[at] - spare_rad < g.stop_lo_rad[at] ||
+                      g.cell_hi_rad[at] + spare_rad > g.stop_hi_rad[at];
+    g.near_stop = (g.near_stop & ~(uint64_t{1} << at)) | uint64_t{near} << at;
 }
 
 void Plant::configure_hall(size_t axis) {
@@ -374,6 +404,7 @@ void Plant::load_cell(size_t axis) {
     g.backlash_scale[at] = 1.0 / (1.0 + backlash.slope);
     g.cell_lo_rad[at] = cell.lo.gear_rad;
     g.cell_hi_rad[at] = cell.hi.gear_rad;
+    look_for_stops(axis);
 }
 
 // From where it was.
@@ -393,16 +424,15 @@ int32_t Plant::follow_cell(size_t axis) {
     const bool positive = gear_rad < g.theta_rad[at] && gear_rad - closed_rad() <= 1e-9;
     const int32_t before = axes_[axis].cell.index;
     seek_cell(axis, gear_rad);
-    fetch_gear(axis);
     if (positive) g.gear_rad[at] = closed_rad();
     return axes_[axis].cell.index - before;
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten. bell: of the seat's counter.
 void Plant::follow_seat(size_t axis, int32_t nodes, double bell) {
-    const double rms_rad = param(axis, &PlantParams::seat_rms);
-    if (rms_rad == 0.0) return;
     Seat &seat = axes_[axis].seat;
+    const double rms_rad = seat.rms_rad;
+    if (rms_rad == 0.0) return;
     double &ahead_rad = nodes > 0 ? seat.hi_rad : seat.lo_rad;
     double &behind_rad = nodes > 0 ? seat.lo_rad : seat.hi_rad;
     for (int32_t left = std::abs(nodes); left > 0; --left) {

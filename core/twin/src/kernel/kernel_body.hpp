@@ -18,6 +18,9 @@ constexpr int width = FL_KERNEL_WIDTH;
 typedef float V __attribute__((vector_size(4 * width), may_alias));
 typedef int32_t Mask __attribute__((vector_size(4 * width), may_alias));
 
+// A compiler that leaves a call or a loop inside a substep keeps in memory what moves.
+#define FL_INLINED __attribute__((always_inline))
+
 inline V load(const float *p) { return *reinterpret_cast<const V *>(p); }
 inline void store(float *p, V v) { *reinterpret_cast<V *>(p) = v; }
 inline V larger(V a, V b) { return a > b ? a : b; }
@@ -136,60 +139,60 @@ void drive(AxisGroup &g, uint64_t used) {
         if (!left_out(g, chunk, used)) drive_chunk(g, chunk);
 }
 
-// A group inside a tick: ways since theta at its start, and the load as it was there. Of lanes in which
-// nothing moves they are not set.
-struct alignas(64) Tick {
-    explicit Tick(AxisGroup &group) : g(group) {}
-    AxisGroup::Lanes turned_rad;                     // of the rotor
-    AxisGroup::Lanes gear_ahead_rad, gear_start_rad; // gear, now and at the start
-    AxisGroup::Lanes closed_rad;                     // gear angle of positive contact at the start
-    AxisGroup::Lanes closed_scale;                   // and its change with the rotor
-    AxisGroup::Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it
-    AxisGroup &g;                                    // last, so that lanes stay aligned
-};
-
-// From angles to ways since the start of the tick. Spring, outside torque and hard stops change by less than
-// 1e-9 of the friction inside it. The gear takes from the rotor its friction and this load, and never gives:
-// not below zero.
-inline void begin_ways(Tick &t, int chunk) {
-    for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const double gear = t.g.gear_rad[i], theta = t.g.theta_rad[i];
-        const double over = larger(gear - t.g.stop_hi_rad[i], 0.0) + smaller(gear - t.g.stop_lo_rad[i], 0.0);
-        const double push = t.g.load_0_Nms[i] + t.g.load_1_Nms[i] * gear - t.g.stop_Nms[i] * over;
-        const double friction = static_cast<double>(t.g.coulomb_gear_Nms[i]);
-        t.resist_up_Nms[i] = static_cast<float>(larger(friction - push, 0.0));
-        t.resist_down_Nms[i] = static_cast<float>(larger(friction + push, 0.0));
-        const double closed = (theta - t.g.backlash_0_rad[i]) * t.g.backlash_scale[i];
-        t.closed_rad[i] = static_cast<float>(closed - theta);
-        t.closed_scale[i] = static_cast<float>(t.g.backlash_scale[i]);
-        t.gear_ahead_rad[i] = t.gear_start_rad[i] = static_cast<float>(gear - theta);
-        t.turned_rad[i] = 0.0f;
-    }
-}
-
-// And back. In contact the gear is where the rotor puts it, to the last bit of a double: rounded ways would
-// open the contact again. An axis at rest now, and where it was, has rested all the time, for the field does
-// not turn in a tick: it is still.
-inline void end_ways(Tick &t, int chunk) {
-    for (int i = chunk; i < chunk + chunk_size; ++i) {
-        const float turned = t.turned_rad[i], from_below = t.closed_rad[i] + turned * t.closed_scale[i];
-        const float pushed = t.gear_ahead_rad[i] > from_below ? t.gear_ahead_rad[i] : from_below;
-        const float gear = pushed < turned ? pushed : turned;
-        const double start = t.g.theta_rad[i], theta = start + static_cast<double>(turned);
-        const double closed = (theta - t.g.backlash_0_rad[i]) * t.g.backlash_scale[i];
-        const double alone =
-            gear == t.gear_start_rad[i] ? t.g.gear_rad[i] : start + static_cast<double>(gear);
-        t.g.gear_rad[i] = from_below >= gear ? closed : (turned <= gear ? theta : alone);
-        t.g.theta_rad[i] = theta;
-        t.g.still[i] = -(static_cast<int32_t>(turned == 0.0f) & static_cast<int32_t>(t.g.p_Nms[i] == 0.0f));
-    }
-}
+// -- angles, in double ---------------------------------------------------------------------------
 
 typedef double Exact __attribute__((vector_size(4 * width), may_alias));
 typedef int64_t ExactMask __attribute__((vector_size(4 * width), may_alias));
 constexpr int exact_width = width / 2;
 
 inline Exact load(const double *p) { return *reinterpret_cast<const Exact *>(p); }
+inline void store(double *p, Exact v) { *reinterpret_cast<Exact *>(p) = v; }
+inline Exact larger(Exact a, Exact b) { return a > b ? a : b; }
+inline Exact smaller(Exact a, Exact b) { return a < b ? a : b; }
+
+// What of a vector belongs to its lanes from `from` on in double, and such parts joined to one again.
+#if FL_KERNEL_WIDTH == 16
+template <int from> FL_INLINED inline Exact exact(V v) {
+    return reinterpret_cast<Exact>(_mm512_maskz_cvtps_pd(
+        0xff, _mm512_maskz_extractf32x8_ps(0xff, reinterpret_cast<__m512>(v), from / 8)));
+}
+FL_INLINED inline V rounded(Exact lower, Exact upper) {
+    const __m512 lo = _mm512_castps256_ps512(_mm512_maskz_cvtpd_ps(0xff, reinterpret_cast<__m512d>(lower)));
+    return reinterpret_cast<V>(_mm512_maskz_insertf32x8(
+        0xffff, lo, _mm512_maskz_cvtpd_ps(0xff, reinterpret_cast<__m512d>(upper)), 1));
+}
+// a where the flag is set, else b.
+template <int from> FL_INLINED inline Exact either(Mask flags, Exact a, Exact b) {
+    const auto bits = static_cast<__mmask8>(_mm512_movepi32_mask(reinterpret_cast<__m512i>(flags)) >> from);
+    return reinterpret_cast<Exact>(
+        _mm512_mask_blend_pd(bits, reinterpret_cast<__m512d>(b), reinterpret_cast<__m512d>(a)));
+}
+#else
+#if FL_KERNEL_WIDTH == 8
+template <int from> FL_INLINED inline Exact exact(V v) {
+    return reinterpret_cast<Exact>(
+        _mm256_cvtps_pd(_mm256_extractf128_ps(reinterpret_cast<__m256>(v), from / 4)));
+}
+FL_INLINED inline V rounded(Exact lower, Exact upper) {
+    return reinterpret_cast<V>(_mm256_set_m128(_mm256_cvtpd_ps(reinterpret_cast<__m256d>(upper)),
+                                               _mm256_cvtpd_ps(reinterpret_cast<__m256d>(lower))));
+}
+#else
+template <int from> FL_INLINED inline Exact exact(V v) {
+    return Exact{static_cast<double>(v[from]), static_cast<double>(v[from + 1])};
+}
+FL_INLINED inline V rounded(Exact lower, Exact upper) {
+    return V{static_cast<float>(lower[0]), static_cast<float>(lower[1]), static_cast<float>(upper[0]),
+             static_cast<float>(upper[1])};
+}
+#endif
+template <int from> FL_INLINED inline Exact either(Mask flags, Exact a, Exact b) {
+    typedef int32_t Part __attribute__((vector_size(2 * width)));
+    Part part;
+    for (int k = 0; k < exact_width; ++k) part[k] = flags[from + k];
+    return __builtin_convertvector(part, ExactMask) ? a : b;
+}
+#endif
 
 // A bit for each flag that is set.
 inline uint64_t bits_of(ExactMask flags) {
@@ -204,21 +207,95 @@ inline uint64_t bits_of(ExactMask flags) {
 #endif
 }
 
-// A bit for each lane whose gear has left its cell.
-inline uint64_t lanes_out_of_cell(const Tick &t, int chunk) {
-    uint64_t out = 0;
-    for (int i = chunk; i < chunk + chunk_size; i += exact_width) {
-        const Exact gear = load(t.g.gear_rad + i);
-        out |= bits_of((gear < load(t.g.cell_lo_rad + i)) | (gear >= load(t.g.cell_hi_rad + i))) << i;
-    }
-    return out;
+// A group inside a tick: ways since theta at its start, and the load as it was there. Of lanes in which
+// nothing moves they are not set.
+struct alignas(64) Tick {
+    explicit Tick(AxisGroup &group) : g(group) {}
+    AxisGroup::Lanes turned_rad;                     // of the rotor
+    AxisGroup::Lanes gear_ahead_rad, gear_start_rad; // gear, now and at the start
+    AxisGroup::Lanes closed_rad;                     // gear angle of positive contact at the start
+    AxisGroup::Lanes closed_scale;                   // and its change with the rotor
+    AxisGroup::Lanes resist_up_Nms, resist_down_Nms; // what the gear takes from the rotor that moves it
+    AxisGroup &g;                                    // last, so that lanes stay aligned
+};
+
+// Spring, outside torque and hard stops, towards larger angles. `stops`: a gear may be at one.
+template <bool stops> FL_INLINED inline Exact push_on_gear(const AxisGroup &g, int i, Exact gear) {
+    const Exact push = load(g.load_0_Nms + i) + load(g.load_1_Nms + i) * gear;
+    if (!stops) return push;
+    const Exact none{},
+        over = larger(gear - load(g.stop_hi_rad + i), none) + smaller(gear - load(g.stop_lo_rad + i), none);
+    return push - load(g.stop_Nms + i) * over;
+}
+
+// From angles to ways since the start of the tick. What pushes the gear changes by less than 1e-9 of the
+// friction inside it. The gear takes from the rotor its friction and this load, and never gives: not below
+// zero.
+template <bool stops> FL_INLINED inline void begin_ways(Tick &t, int i) {
+    const AxisGroup &g = t.g;
+    const V coulomb = load(g.coulomb_gear_Nms + i);
+    Exact ahead[2], shut[2], scale[2], up[2], down[2];
+    const auto half = [&](int k, int at, Exact friction) FL_INLINED {
+        const Exact gear = load(g.gear_rad + at), theta = load(g.theta_rad + at), none{};
+        const Exact push = push_on_gear<stops>(g, at, gear);
+        up[k] = larger(friction - push, none);
+        down[k] = larger(friction + push, none);
+        scale[k] = load(g.backlash_scale + at);
+        shut[k] = (theta - load(g.backlash_0_rad + at)) * scale[k] - theta;
+        ahead[k] = gear - theta;
+    };
+    half(0, i, exact<0>(coulomb));
+    half(1, i + exact_width, exact<exact_width>(coulomb));
+    store(t.resist_up_Nms + i, rounded(up[0], up[1]));
+    store(t.resist_down_Nms + i, rounded(down[0], down[1]));
+    store(t.closed_scale + i, rounded(scale[0], scale[1]));
+    store(t.closed_rad + i, rounded(shut[0], shut[1]));
+    store(t.gear_start_rad + i, rounded(ahead[0], ahead[1]));
+}
+
+inline void begin_ways_of_chunk(Tick &t, int chunk) {
+    const bool stops = (t.g.near_stop >> chunk & (UINT64_MAX >> (64 - chunk_size))) != 0;
+    for (int i = chunk; i < chunk + chunk_size; i += width)
+        stops ? begin_ways<true>(t, i) : begin_ways<false>(t, i);
+}
+
+// And back. In contact the gear is where the rotor puts it, to the last bit of a double: rounded ways would
+// open the contact again. An axis at rest now, and where it was, has rested all the time, for the field does
+// not turn in a tick: it is still. Tells which gears have left their cells, and which are about to.
+FL_INLINED inline void end_ways(Tick &t, int i, V turned, V gear_ahead, TickEvents &events) {
+    AxisGroup &g = t.g;
+    const V from_below = load(t.closed_rad + i) + turned * load(t.closed_scale + i);
+    const V gear = smaller(larger(gear_ahead, from_below), turned);
+    const Mask shut = from_below >= gear, open = turned <= gear, kept = gear == load(t.gear_start_rad + i);
+    const auto half = [&](int at, Exact way, Exact gear_way, auto &&choose) FL_INLINED {
+        const Exact start = load(g.theta_rad + at), theta = start + way;
+        const Exact closed = (theta - load(g.backlash_0_rad + at)) * load(g.backlash_scale + at);
+        const Exact now = choose(closed, theta, load(g.gear_rad + at), start + gear_way);
+        const Exact lo = load(g.cell_lo_rad + at), hi = load(g.cell_hi_rad + at), later = now + (way + way);
+        const ExactMask out = (now < lo) | (now >= hi);
+        events.left_cell |= bits_of(out) << at;
+        events.will_leave |= bits_of(out | (later < lo) | (later >= hi)) << at;
+        store(g.gear_rad + at, now);
+        store(g.theta_rad + at, theta);
+    };
+    half(i, exact<0>(turned), exact<0>(gear),
+         [&](Exact closed, Exact theta, Exact before, Exact alone) FL_INLINED {
+             return either<0>(shut, closed, either<0>(open, theta, either<0>(kept, before, alone)));
+         });
+    half(i + exact_width, exact<exact_width>(turned), exact<exact_width>(gear),
+         [&](Exact closed, Exact theta, Exact before, Exact alone) FL_INLINED {
+             return either<exact_width>(
+                 shut, closed, either<exact_width>(open, theta, either<exact_width>(kept, before, alone)));
+         });
+    *reinterpret_cast<Mask *>(g.still + i) = (turned == V{}) & (load(g.p_Nms + i) == V{});
+}
+
+inline void end_ways_of_chunk(Tick &t, int chunk, TickEvents &events) {
+    for (int i = chunk; i < chunk + chunk_size; i += width)
+        end_ways(t, i, load(t.turned_rad + i), load(t.gear_ahead_rad + i), events);
 }
 
 // -- inside a tick, in registers -----------------------------------------------------------------
-
-// A compiler that leaves a call or a loop inside a substep keeps what moves in memory, and a tick waits for
-// it: twice as long.
-#define FL_INLINED __attribute__((always_inline))
 
 constexpr int chunk_vectors = chunk_size / width;
 
@@ -371,10 +448,14 @@ FL_INLINED inline V turned_by(V v, Mask sign) {
 // Lanes that set out pushing, or are still.
 FL_INLINED inline Mask sets_out_pushing(const Tick &t, int i) {
     const V p = load(t.g.p_Nms + i);
-    V gear = load(t.gear_ahead_rad + i);
-    const Contact contact = close_gap(t, i, load(t.turned_rad + i), gear);
+    V gear = load(t.gear_start_rad + i);
+    const Contact contact = close_gap(t, i, V{}, gear);
     return (contact.positive & (p > V{})) | (contact.negative & (p < V{})) | still(t, i);
 }
+
+// A step of all of a tick as a share of the longer ones, and its inverse.
+inline float per_step(Substeps s) { return static_cast<float>(s.pushing) / static_cast<float>(s.all); }
+inline float steps(Substeps s) { return static_cast<float>(s.all) / static_cast<float>(s.pushing); }
 
 // What a step of a rotor that pushes needs beside impulses. `coarse`: of the longer steps; the momentum is
 // then told in steps, too, by the share `per_step` of its own, so that every impulse stays as it is.
@@ -392,8 +473,7 @@ FL_INLINED inline Pushing load_pushing(const Tick &t, int i, float per_step) {
     const V p = load(t.g.p_Nms + i) * per_step, motor = load(t.g.coulomb_motor_Nms + i);
     const V up = motor + load(t.resist_up_Nms + i), down = motor + load(t.resist_down_Nms + i);
     const Mask falls = p < V{};
-    return {load(t.turned_rad + i), p,         load(t.g.sine + i), load(t.g.cosine + i),
-            falls ? -down : up,     up + down, falls << 31};
+    return {V{}, p, load(t.g.sine + i), load(t.g.cosine + i), falls ? -down : up, up + down, falls << 31};
 }
 
 // kick() where the rotor pushes.
@@ -410,17 +490,19 @@ FL_INLINED inline Mask kept_pushing(const Tick &t, int i, const Pushing &m) {
     return (m.slowest > load(t.g.coulomb_motor_Nms + i) * stick_share) | still(t, i);
 }
 
-// turned: at the last kick, which sets the gear.
-FL_INLINED inline void store_pushing(Tick &t, int i, const Pushing &m, V turned) {
+// The end of the tick of a vector that has. turned: at the last kick, which sets the gear; steps: of the
+// longer ones in a tick, over those of all.
+template <bool coarse>
+FL_INLINED inline void end_pushing(Tick &t, int i, const Pushing &m, V turned, float steps,
+                                   TickEvents &events) {
     const Mask moves = ~still(t, i);
-    V gear = load(t.gear_ahead_rad + i);
+    V gear = load(t.gear_start_rad + i);
     close_gap(t, i, both(moves, turned), gear);
-    store(t.gear_ahead_rad + i, gear);
-    store(t.turned_rad + i, both(moves, m.turned));
-    store(t.g.p_Nms + i, both(moves, m.p));
+    store(t.g.p_Nms + i, both(moves, coarse ? m.p * steps : m.p));
+    end_ways(t, i, both(moves, m.turned), gear, events);
 }
 
-// The same for some of the lanes; the others stay as they are.
+// Some of the lanes of a vector; the others stay as they are.
 FL_INLINED inline void store_lanes(Tick &t, int i, Mask lanes, const Pushing &m, V turned, float steps) {
     const V before = load(t.gear_ahead_rad + i);
     V gear = before;
@@ -483,50 +565,35 @@ FL_INLINED inline void push_through(const Tick &t, const int *chunks, int subste
     });
 }
 
-// As move(), to the bit. Chunks in which a rotor has come to rest or turned back stay as they were: `others`
-// gets them.
-template <int count> inline void move_pushing(Tick &t, const int *chunks, int substeps, Chunks &others) {
+// As move(), to the bit, where all lanes push in the same steps. Chunks in which a rotor has come to rest or
+// turned back stay as they were: `others` gets them.
+template <int count, bool coarse>
+inline void glide(Tick &t, const int *chunks, Substeps substeps, Chunks &others, TickEvents &events) {
     Push<count> p;
-    push_through<count, false>(t, chunks, substeps, 1.0f, p);
-    for (int k = 0; k < count; ++k) {
-        const int chunk = chunks[k];
-        if (!all_of_chunk(chunk,
-                          [&](int i, int v) { return kept_pushing(t, i, p.motion[k * chunk_vectors + v]); }))
-            others.add(chunk);
-        else
-            for (int v = 0; v < chunk_vectors; ++v)
-                store_pushing(t, chunk + v * width, p.motion[k * chunk_vectors + v],
-                              p.turned[k * chunk_vectors + v]);
-    }
+    push_through<count, coarse>(t, chunks, substeps.pushing, coarse ? per_step(substeps) : 1.0f, p);
+    in_turn<count>([&](int k) FL_INLINED {
+        const int chunk = chunks[k], first = k * chunk_vectors;
+        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(t, i, p.motion[first + v]); }))
+            return others.add(chunk);
+        for (int v = 0; v < chunk_vectors; ++v)
+            end_pushing<coarse>(t, chunk + v * width, p.motion[first + v], p.turned[first + v],
+                                steps(substeps), events);
+    });
 }
 
 // -- longer steps --------------------------------------------------------------------------------
 
 // What makes an error is the moment of a contact, not a smooth motion: an axis that pushes its gear through
 // the whole tick takes fewer steps. Any other takes all of them, beside it: what an axis does is its own.
-// `others` gets the chunks with such axes, `done` says which lanes have been moved here.
-template <int count>
-inline void move_coarsely(Tick &t, const int *chunks, Substeps substeps, Chunks &others, Done &done) {
-    Push<count> p;
-    const float per_step = static_cast<float>(substeps.pushing) / static_cast<float>(substeps.all);
-    const float steps = static_cast<float>(substeps.all) / static_cast<float>(substeps.pushing);
-    push_through<count, true>(t, chunks, substeps.pushing, per_step, p);
-    for (int k = 0; k < count; ++k) {
-        const int chunk = chunks[k];
-        const auto keep = [&](int i, int v) {
-            const Mask lanes =
-                sets_out_pushing(t, i) & kept_pushing(t, i, p.motion[k * chunk_vectors + v]) & ~still(t, i);
-            *reinterpret_cast<Mask *>(done.lane + i) = lanes;
-            return lanes | still(t, i);
-        };
-        Mask every = keep(chunk, 0);
-        for (int v = 1; v < chunk_vectors; ++v) every &= keep(chunk + v * width, v);
-        if (!all(every)) others.add(chunk);
-        for (int v = 0; v < chunk_vectors; ++v) {
-            const int i = chunk + v * width;
-            const Mask lanes = *reinterpret_cast<const Mask *>(done.lane + i);
-            store_lanes(t, i, lanes, p.motion[k * chunk_vectors + v], p.turned[k * chunk_vectors + v], steps);
-        }
+// `done` says which lanes of the chunk have been moved here.
+inline void move_coarsely(Tick &t, int chunk, Substeps substeps, Done &done) {
+    Push<1> p;
+    push_through<1, true>(t, &chunk, substeps.pushing, per_step(substeps), p);
+    for (int v = 0; v < chunk_vectors; ++v) {
+        const int i = chunk + v * width;
+        const Mask lanes = sets_out_pushing(t, i) & kept_pushing(t, i, p.motion[v]) & ~still(t, i);
+        *reinterpret_cast<Mask *>(done.lane + i) = lanes;
+        store_lanes(t, i, lanes, p.motion[v], p.turned[v], steps(substeps));
     }
 }
 
@@ -548,63 +615,62 @@ void bells(const uint64_t *__restrict counter, double *__restrict bell, int coun
 
 // -- a tick -------------------------------------------------------------------------------------
 
-template <int most> inline void move_all(Tick &t, const Chunks &chunks, int substeps, const Done *done) {
-    if (chunks.count == most) return move<most>(t, chunks.at, substeps, done);
-    if constexpr (most > 1) move_all<most - 1>(t, chunks, substeps, done);
-}
-
-template <int most> inline void push_all(Tick &t, const Chunks &chunks, int substeps, Chunks &others) {
-    if (chunks.count == most) return move_pushing<most>(t, chunks.at, substeps, others);
-    if constexpr (most > 1) push_all<most - 1>(t, chunks, substeps, others);
-}
-
-template <int most>
-inline void push_all_coarsely(Tick &t, const Chunks &chunks, Substeps substeps, Chunks &others, Done &done) {
-    if (chunks.count == most) return move_coarsely<most>(t, chunks.at, substeps, others, done);
-    if constexpr (most > 1) push_all_coarsely<most - 1>(t, chunks, substeps, others, done);
+// Calls work for as many of the chunks at once as are left, at most `most`.
+template <int most, class Work> inline void by(const Chunks &chunks, Work &&work) {
+    if (chunks.count == most) return work.template operator()<most>(chunks.at);
+    if constexpr (most > 1) by<most - 1>(chunks, work);
 }
 
 constexpr int most_chunks = lane_count / chunk_size;
+// Two at once fill the registers; with few steps in a tick there is enough to do beside them.
+constexpr int most_coarse = most_chunks < 2 ? most_chunks : 2;
 
-// Every axis in the same steps.
-inline void move_alike(Tick &t, const Chunks &moving, int substeps) {
-    Chunks pushing, others;
-    for (int k = 0; k < moving.count; ++k) {
-        const int c = moving.at[k];
-        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(t, i); }) ? pushing : others).add(c);
+// Chunks that all of their lanes leave pushing, in the same steps.
+template <bool coarse>
+inline void glide_all(Tick &t, const Chunks &gliding, Substeps substeps, Chunks &others, TickEvents &events) {
+    constexpr int most = coarse ? most_coarse : most_chunks;
+    for (int k = 0; k < gliding.count; k += most) {
+        Chunks some;
+        for (int n = k; n < gliding.count && n < k + most; ++n) some.add(gliding.at[n]);
+        by<most>(some, [&]<int count>(const int *chunks) {
+            glide<count, coarse>(t, chunks, substeps, others, events);
+        });
     }
-    push_all<most_chunks>(t, pushing, substeps, others);
-    move_all<most_chunks>(t, others, substeps, nullptr);
 }
 
-// Each axis in its own.
-inline void move_each(Tick &t, const Chunks &moving, Substeps substeps) {
-    Chunks pushing, others;
+// Any others: each axis in its own steps.
+inline void move_others(Tick &t, const Chunks &others, Substeps substeps, TickEvents &events) {
     Done done = {};
-    for (int k = 0; k < moving.count; ++k) {
-        const int c = moving.at[k];
+    const bool longer = substeps.pushing != substeps.all;
+    for (int k = 0; k < others.count; ++k) {
+        const int c = others.at[k];
+        for (int i = c; i < c + chunk_size; i += width) {
+            store(t.turned_rad + i, V{});
+            store(t.gear_ahead_rad + i, load(t.gear_start_rad + i));
+        }
         const auto idle = [&](int i, int) { return ~sets_out_pushing(t, i) | still(t, i); };
-        (all_of_chunk(c, idle) ? others : pushing).add(c);
+        if (longer && !all_of_chunk(c, idle)) move_coarsely(t, c, substeps, done);
     }
-    push_all_coarsely<most_chunks>(t, pushing, substeps, others, done);
-    move_all<most_chunks>(t, others, substeps.all, &done);
+    by<most_chunks>(others, [&]<int count>(const int *chunks) {
+        move<count>(t, chunks, substeps.all, longer ? &done : nullptr);
+    });
+    for (int k = 0; k < others.count; ++k) end_ways_of_chunk(t, others.at[k], events);
 }
 
 TickEvents step(AxisGroup &g, Substeps substeps) {
     Tick t(g);
-    Chunks moving;
-    for (int c = 0; c < lane_count; c += chunk_size)
-        if (!all_of_chunk(c, [&](int i, int) { return still(t, i); })) moving.add(c);
-    for (int k = 0; k < moving.count; ++k) begin_ways(t, moving.at[k]);
-    if (substeps.pushing == substeps.all)
-        move_alike(t, moving, substeps.all);
-    else
-        move_each(t, moving, substeps);
     TickEvents events;
-    for (int k = 0; k < moving.count; ++k) {
-        end_ways(t, moving.at[k]);
-        events.left_cell |= lanes_out_of_cell(t, moving.at[k]);
+    Chunks gliding, others;
+    for (int c = 0; c < lane_count; c += chunk_size) {
+        if (all_of_chunk(c, [&](int i, int) { return still(t, i); })) continue;
+        begin_ways_of_chunk(t, c);
+        (all_of_chunk(c, [&](int i, int) { return sets_out_pushing(t, i); }) ? gliding : others).add(c);
     }
+    if (substeps.pushing == substeps.all)
+        glide_all<false>(t, gliding, substeps, others, events);
+    else
+        glide_all<true>(t, gliding, substeps, others, events);
+    move_others(t, others, substeps, events);
     return events;
 }
 

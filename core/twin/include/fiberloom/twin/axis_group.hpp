@@ -66,11 +66,14 @@ struct alignas(64) AxisGroup {
     uint32_t noise_key[lane_count];
     int32_t still[lane_count]; // all bits: the last tick changed nothing, and nothing has been changed since
     int32_t hall_cnt[2][lane_count];
+    uint64_t near_stop; // a bit for each lane whose gear may come to a stop in its cell, with a motor radian
+                        // to spare
 };
 
 // What happened in a tick, one bit per lane.
 struct TickEvents {
     uint64_t left_cell = 0;
+    uint64_t will_leave = 0; // its cell within two more such ticks, or has done so
 };
 
 // Steps of a tick: of any axis, and of one that pushes its gear all the time.

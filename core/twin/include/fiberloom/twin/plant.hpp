@@ -84,9 +84,14 @@ class Plant {
     // The lanes of a group.
     AxisGroup &group(size_t index) { return groups_[index]; }
     // The true parameters of an axis.
-    PlantParams params(size_t axis) const { return axes_[axis].params.with(first_params_[axis % 2]); }
+    PlantParams params(size_t axis) const {
+        PlantParams p = axes_[axis].params.with(first_params_[axis % 2]);
+        p.seat_rms = axes_[axis].seat.rms_rad;
+        return p;
+    }
     // One of them.
     double param(size_t axis, double PlantParams::*name) const {
+        if (name == &PlantParams::seat_rms) return axes_[axis].seat.rms_rad;
         return axes_[axis].params.field(first_params_[axis % 2], name);
     }
     // Motor angle, rad.
@@ -137,6 +142,7 @@ class Plant {
     // the travel of the gear, drawn anew at every node that is passed, straight in between.
     struct Seat {
         double lo_rad = 0.0, hi_rad = 0.0; // at the nodes of the cell
+        double rms_rad = 0.0;              // PlantParams::seat_rms: every node asks for it
         uint32_t key = 0, passes = 0;
         uint64_t counter() const { return uint64_t{key} << 32 | passes; } // of the next number
     };
@@ -157,7 +163,7 @@ class Plant {
         NodeBlock block;
         Seat seat;
         Gear gear;
-        Differing<PlantParams> params;  // from those of the first axis of its kind
+        Differing<PlantParams> params;  // from those of the first axis of its kind, but for the seat's
         std::unique_ptr<Broken> broken; // none: nothing is or was
         Bridge bridge;
         float spring_0_Nm = 0.0f; // of the torsion spring at 0: its parameters lie far from here
@@ -175,6 +181,7 @@ class Plant {
     }
 
     void put(size_t axis, double output_rad);
+    void keep_params(size_t axis, PlantParams params);
     void configure(size_t axis);
     void configure_drive(size_t axis);
     void switch_bridge(size_t axis, Bridge bridge);
@@ -184,9 +191,11 @@ class Plant {
     void configure_stops(size_t axis);
     void configure_hall(size_t axis);
     void load_cell(size_t axis);
+    void look_for_stops(size_t axis);
     void fetch(size_t axis) const;
     void fetch_gear(size_t axis) const;
     void seek_cell(size_t axis, double gear_rad);
+    void foresee_cells(size_t group, uint64_t lanes);
     void follow_cells(size_t group, uint64_t lanes);
     int32_t follow_cell(size_t axis);
     void follow_seat(size_t axis, int32_t nodes, double bell);
@@ -202,6 +211,7 @@ class Plant {
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
     std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip
+    std::vector<uint64_t> foreseen_; // and those that were about to leave their cells a tick ago
 };
 
 } // namespace fl::twin
