@@ -260,10 +260,20 @@ bool Search::look(Open open) {
     return false;
 }
 
+// The cells that a step leads to, on three lines of beta, are on their way from memory before they are asked
+// for.
+void Search::fetch_around(NodeId same) const {
+    for (int way = -1; way <= 1; ++way) {
+        const int at = same.value() + way * alphas_;
+        if (at >= 0 && at < nodes_.size()) __builtin_prefetch(&nodes_[NodeId(at)]);
+    }
+}
+
 void Search::expand(const Open &here) {
     const Robot &robot = *ask_.robot;
     const Place at = here.place();
     ++expansions_;
+    if (at.step < last_step_) fetch_around(id({at.cell, at.step + 1}));
     nodes_[id(at)] = {round_, here.move};
     if (at.cell == last_cell_) finish(here);
     if (at.step == last_step_) return;

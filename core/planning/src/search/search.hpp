@@ -121,17 +121,18 @@ class Search {
   private:
     using NodeId = Index<struct NodeKind>; // of a cell at a step
 
-    // A cell at a step: the move of the best way to it, and in which search this was found.
+    // A cell at a step: the move of the best way to it, and in which search this was found. Two bytes: most
+    // of what a search waits for is these, and as they are few more of them are at hand.
     class Node {
       public:
-        static constexpr std::uint32_t most_rounds = (1u << 28) - 1;
+        static constexpr std::uint32_t most_rounds = (1u << 12) - 1;
         Node() = default;
-        Node(std::uint32_t round, Move move) : code_(round << 4 | move) {}
+        Node(std::uint32_t round, Move move) : code_(static_cast<std::uint16_t>(round << 4 | move)) {}
         Move move() const { return code_ & 15; }
         std::uint32_t round() const { return code_ >> 4; }
 
       private:
-        std::uint32_t code_ = 0;
+        std::uint16_t code_ = 0;
     };
     struct Place {
         Cell cell;
@@ -185,6 +186,7 @@ class Search {
         NodeId same;             // the cell, a step later
         CostToGo::Around guide;  // of a step later, where there is one
     };
+    void fetch_around(NodeId same) const;
     Leaving leaving(const Open &here) const;
     int to_come_after(const Leaving &from, int move, const Line &alpha, const Line &beta) const;
     void relax(const Leaving &from, int move, const Line &alpha, const Line &beta);
