@@ -92,6 +92,17 @@ def test_rows_can_be_picked():
         maps.rows_of([7, 99])
 
 
+def test_paths_of_many_are_as_each_alone():
+    maps, rng = some_maps(), np.random.default_rng(4)
+    rows = [1, 0, 1]
+    paths = [rng.uniform(-20.0, 400.0, (count, 2)) for count in (1, 7, 3)]  # also beyond the knots
+    for direction in (NEGATIVE, POSITIVE):
+        together = maps.paths_to_wire(rows, paths, direction)
+        for row, path, found in zip(rows, paths, together, strict=True):
+            np.testing.assert_array_equal(found, maps.to_wire(path.T[None], [row], direction)[0].T)
+    assert maps.paths_to_wire([], []) == []
+
+
 @pytest.mark.parametrize("shape", [(3, 2), (3, 2, 41)])
 def test_all_rows_in_one_go_are_the_polyline_of_each_to_the_last_bit(shape):
     maps = some_maps()

@@ -12,6 +12,7 @@ Exact at the knots; the inverse is that of the same polyline; straight on beyond
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -255,9 +256,51 @@ class TransmissionMaps:
         >>> maps.path_to_wire(0, [[0.0, 180.0], [30.0, 150.0], [60.0, 120.0]]).shape
         (3, 2)
         """
-        theta = np.asarray(theta_deg, dtype=np.float64).T
-        wire: Floats = self.to_wire(theta[None], index=[row], direction=direction)[0].T
-        return wire
+        return self.paths_to_wire([row], [np.asarray(theta_deg, dtype=np.float64)], direction)[0]
+
+    def paths_to_wire(
+        self, rows: Sequence[int], paths_deg: Sequence[Floats], direction: int = NEGATIVE
+    ) -> list[Floats]:
+        """Paths of several positioners in wire positions: to the bit as `path_to_wire` of each.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Their n rows, each as often as it has paths.
+        paths_deg : sequence of array
+            For each (M, 2) output angles, deg; each may have as many points as it likes.
+        direction : int
+            Contact: -1 negative, +1 positive.
+
+        Returns
+        -------
+        list of (M, 2) float
+            Wire positions, deg.
+
+        Examples
+        --------
+        >>> import fiberloom as fl
+        >>> import numpy as np
+        >>> maps = fl.Field.twin(fl.FocalPlane.of("sdssv", n=7)).run.calibrate()
+        >>> paths = [np.array([[0.0, 180.0], [30.0, 150.0]]), np.array([[60.0, 120.0]])]
+        >>> [path.shape for path in maps.paths_to_wire([4, 2], paths)]
+        [(2, 2), (1, 2)]
+        """
+        side = _side(direction)
+        if not rows:
+            return []
+        counts = [len(path) for path in paths_deg]
+        all_deg, row = np.concatenate(list(paths_deg)), np.repeat(np.asarray(rows, dtype=np.int64), counts)
+        ends = np.cumsum(counts)
+        wire = np.empty(all_deg.shape)
+        for axis in range(all_deg.shape[1]):
+            x = all_deg[:, axis]
+            source, goal = self.output_deg[:, axis, side], self.wire_deg[:, axis, side]
+            parts = zip(rows, np.split(x, ends[:-1]), strict=True)
+            k = np.concatenate([_segments(source[at], part) for at, part in parts])
+            k = k.clip(0, source.shape[-1] - 2)
+            wire[:, axis] = _between(x, source[row, k], source[row, k + 1], goal[row, k], goal[row, k + 1])
+        return np.split(wire, ends[:-1])
 
     def _map(
         self,
@@ -460,6 +503,11 @@ def _along(x_knots: Floats, y_knots: Floats, k: Ints, x: Floats) -> Floats:
     k = k.clip(0, x_knots.shape[-1] - 2)
     before, after = (np.take_along_axis(x_knots, at, axis=-1) for at in (k, k + 1))
     low, high = (np.take_along_axis(y_knots, at, axis=-1) for at in (k, k + 1))
+    return _between(x, before, after, low, high)
+
+
+def _between(x: Floats, before: Floats, after: Floats, low: Floats, high: Floats) -> Floats:
+    """On the straight line from `low` at `before` to `high` at `after`: arrays of the same shape."""
     t = (x - before) / (after - before)
     # from the nearer knot: exact at both, and the inverse polyline undoes it to rounding
     return np.where(t <= 0.5, low + t * (high - low), high - (1.0 - t) * (high - low))

@@ -138,12 +138,17 @@ class SdssvDrive:
     def _all_on_the_wire(self, planned: Plan) -> dict[int, WireTrajectory]:
         moving = [robot for robot in planned.robots if robot.moves]
         rows = self.plane.index_of([robot.positioner_id for robot in moving]).tolist()
-        return {r.positioner_id: on_the_wire(self.maps, row, r) for row, r in zip(rows, moving, strict=True)}
+        wire_deg = self.maps.paths_to_wire(rows, [robot.points_deg for robot in moving])
+        return {r.positioner_id: _at_corners(r, wire) for r, wire in zip(moving, wire_deg, strict=True)}
 
 
 def on_the_wire(maps: TransmissionMaps, row: int, robot: Trajectory) -> WireTrajectory:
     """What is sent of the way of the positioner in `row`: motor angles by `maps`, at the corners."""
-    wire_deg = maps.path_to_wire(row, robot.points_deg)
+    return _at_corners(robot, maps.path_to_wire(row, robot.points_deg))
+
+
+def _at_corners(robot: Trajectory, wire_deg: Floats) -> WireTrajectory:
+    """Of `wire_deg` (M, 2), the motor angles at all its points, those that its axes need."""
     corners = robot.corners(0), robot.corners(1)
     return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
 
