@@ -134,22 +134,22 @@ void Plant::foresee_cells(size_t group, uint64_t lanes) {
         fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
 }
 
-// Gears that left their cell inside a tick. One thing of all of them, then the next: what takes long of one
-// does not wait for another's.
+// Gears that left their cell inside a tick, as many at once as one call for numbers serves. One thing of all
+// of them, then the next: what takes long of one does not wait for another's.
 void Plant::follow_cells(size_t group, uint64_t lanes) {
-    int32_t nodes[lane_count];
-    alignas(64) uint64_t counter[lane_count] = {};
-    alignas(64) double bell[lane_count];
-    const auto each = [lanes](auto &&what) {
-        size_t k = 0;
-        for (uint64_t left = lanes; left != 0; left &= left - 1, ++k)
-            what(k, static_cast<size_t>(__builtin_ctzll(left)));
-        return k;
-    };
-    const size_t count = each([&](size_t k, size_t lane) { nodes[k] = follow_cell(axis_at(group, lane)); });
-    each([&](size_t k, size_t lane) { counter[k] = axes_[axis_at(group, lane)].seat.counter(); });
-    kernel_->bells(counter, bell, static_cast<int>(count));
-    each([&](size_t k, size_t lane) { follow_seat(axis_at(group, lane), nodes[k], bell[k]); });
+    while (lanes != 0) {
+        size_t axes[bell_vector];
+        int32_t nodes[bell_vector];
+        alignas(64) uint64_t counter[bell_vector] = {};
+        alignas(64) double bell[bell_vector];
+        size_t count = 0;
+        for (; lanes != 0 && count < bell_vector; lanes &= lanes - 1)
+            axes[count++] = axis_at(group, static_cast<size_t>(__builtin_ctzll(lanes)));
+        for (size_t k = 0; k < count; ++k) nodes[k] = follow_cell(axes[k]);
+        for (size_t k = 0; k < count; ++k) counter[k] = axes_[axes[k]].seat.counter();
+        kernel_->bells(counter, bell, static_cast<int>(count));
+        for (size_t k = 0; k < count; ++k) follow_seat(axes[k], nodes[k], bell[k]);
+    }
 }
 
 // Asks for what a new cell changes.
