@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <cstddef>
-#include <cstring>
 
 #include "cruise.hpp"
 
@@ -179,8 +178,8 @@ uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {
 // What the hall channels of an axis show, for all that cruise.
 void LaneGroup::look(int axis, LawBatch &b) const {
     const int first = axis * lane_group_size;
-    std::memcpy(b.adc_a_cnt, &group_->hall_cnt[0][first], sizeof b.adc_a_cnt);
-    std::memcpy(b.adc_b_cnt, &group_->hall_cnt[1][first], sizeof b.adc_b_cnt);
+    std::copy_n(&group_->hall_cnt[0][first], lane_group_size, b.adc_a_cnt);
+    std::copy_n(&group_->hall_cnt[1][first], lane_group_size, b.adc_b_cnt);
 }
 
 void LaneGroup::set_phases(int axis, uint32_t lanes, const LawScratch &s) {
@@ -188,7 +187,7 @@ void LaneGroup::set_phases(int axis, uint32_t lanes, const LawScratch &s) {
     for (size_t phase = 0; phase < 3; ++phase) {
         float *out = &group_->duty[phase][axis * lane_group_size];
         if (lanes == whole_group)
-            std::memcpy(out, duty[phase], sizeof s.duty_a);
+            std::copy_n(duty[phase], lane_group_size, out);
         else
             each(lanes, [&](size_t i) { out[i] = duty[phase][i]; });
     }

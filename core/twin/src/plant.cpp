@@ -93,7 +93,7 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
-    foreseen_.assign(groups_.size(), 0);
+    foreseen_.assign(groups_.size(), {});
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         keep_params(axis, units[axis].params);
@@ -125,13 +125,14 @@ void Plant::step(size_t group, uint64_t used) {
 }
 
 // What a new cell needs may lie far from the processor: it is asked for two ticks before, and the amplitudes
-// of the gear, of which the axis tells whether they are needed, a tick before.
+// of a gear of which the next node lies in another block a tick before.
 void Plant::foresee_cells(size_t group, uint64_t lanes) {
-    const uint64_t before = std::exchange(foreseen_[group], lanes);
-    for (uint64_t left = lanes & before; left != 0; left &= left - 1)
+    Foreseen &f = foreseen_[group];
+    for (uint64_t left = lanes & f.leaving & f.block_ends; left != 0; left &= left - 1)
         fetch_gear(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
-    for (uint64_t left = lanes & ~before; left != 0; left &= left - 1)
+    for (uint64_t left = lanes & ~f.leaving; left != 0; left &= left - 1)
         fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    f.leaving = lanes;
 }
 
 // Gears that left their cell inside a tick, as many at once as one call for numbers serves. One thing of all
@@ -160,15 +161,11 @@ void Plant::fetch(size_t axis) const {
     __builtin_prefetch(begin + offsetof(Axis, broken), 1);
 }
 
-// Next to the end of a block: for the amplitudes of the gear.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
-    const Axis &a = axes_[axis];
-    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
-    const bool up = gear_rad - a.cell.lo.gear_rad > a.cell.hi.gear_rad - gear_rad;
-    if ((a.cell.index & (block_nodes - 1)) != (up ? block_nodes - 2 : 0)) return;
-    const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
-    const size_t bytes = a.gear.wave_count * sizeof(Gear::Wave);
+    const Gear &gear = axes_[axis].gear;
+    const auto *begin = reinterpret_cast<const char *>(gear.waves.get());
+    const size_t bytes = gear.wave_count * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
     // to gcc a function that only asks for memory does nothing, and it leaves out the call
     asm volatile("");
@@ -425,7 +422,10 @@ int32_t Plant::follow_cell(size_t axis) {
     const int32_t before = axes_[axis].cell.index;
     seek_cell(axis, gear_rad);
     if (positive) g.gear_rad[at] = closed_rad();
-    return axes_[axis].cell.index - before;
+    const int32_t index = axes_[axis].cell.index, last = index > before ? block_nodes - 2 : 0;
+    uint64_t &ends = foreseen_[place(axis).group].block_ends;
+    ends = (ends & ~(uint64_t{1} << at)) | uint64_t{(index & (block_nodes - 1)) == last} << at;
+    return index - before;
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten. bell: of the seat's counter.

@@ -288,10 +288,12 @@ void Twin::State::publish(size_t i) {
 }
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
-    Positioner &p = positioners[i];
-    std::vector<Contact> contacts; // most have none, before and after
-    if (p.touching) contacts = std::move(p.touching->contacts);
+    std::vector<Contact> contacts;
+    if (felt[i] != 0) contacts = std::move(positioners[i].touching->contacts);
     const Push push = neighbours.push(i, seen, travels_mm, now, contacts);
+    // most touch nothing, before and after: the positioner itself, far from the processor, is not asked then
+    if (felt[i] == 0 && contacts.empty() && push == Push{}) return;
+    Positioner &p = positioners[i];
     if (!contacts.empty() || p.touching) p.touch_now().contacts = std::move(contacts);
     note_touches(i, outbox);
     if (push != p.touch().push) apply_torque(i, push);
@@ -505,6 +507,7 @@ void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
     Positioner &p = s_->at(i);
     p.touch_now().user_push.torque_Nm[axis] = torque_Nm;
     s_->apply_torque(i, p.touch().push);
+    if (p.touch().over()) p.touching.reset();
 }
 
 void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {
