@@ -93,7 +93,6 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
-    foreseen_.assign(groups_.size(), {});
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         keep_params(axis, units[axis].params);
@@ -127,12 +126,12 @@ void Plant::step(size_t group, uint64_t used) {
 // What a new cell needs may lie far from the processor: it is asked for two ticks before, and the amplitudes
 // of a gear of which the next node lies in another block a tick before.
 void Plant::foresee_cells(size_t group, uint64_t lanes) {
-    Foreseen &f = foreseen_[group];
-    for (uint64_t left = lanes & f.leaving & f.block_ends; left != 0; left &= left - 1)
+    AxisGroup &g = groups_[group];
+    for (uint64_t left = lanes & g.leaving & g.block_ends; left != 0; left &= left - 1)
         fetch_gear(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
-    for (uint64_t left = lanes & ~f.leaving; left != 0; left &= left - 1)
+    for (uint64_t left = lanes & ~g.leaving; left != 0; left &= left - 1)
         fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
-    f.leaving = lanes;
+    g.leaving = lanes;
 }
 
 // Gears that left their cell inside a tick, as many at once as one call for numbers serves. One thing of all
@@ -423,8 +422,8 @@ int32_t Plant::follow_cell(size_t axis) {
     seek_cell(axis, gear_rad);
     if (positive) g.gear_rad[at] = closed_rad();
     const int32_t index = axes_[axis].cell.index, last = index > before ? block_nodes - 2 : 0;
-    uint64_t &ends = foreseen_[place(axis).group].block_ends;
-    ends = (ends & ~(uint64_t{1} << at)) | uint64_t{(index & (block_nodes - 1)) == last} << at;
+    const bool ends = (index & (block_nodes - 1)) == last;
+    g.block_ends = (g.block_ends & ~(uint64_t{1} << at)) | uint64_t{ends} << at;
     return index - before;
 }
 

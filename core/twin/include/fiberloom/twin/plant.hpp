@@ -215,7 +215,6 @@ class Plant {
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
     std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip
-    std::vector<Foreseen> foreseen_; // and who will soon ask for more
 };
 
 } // namespace fl::twin
