@@ -34,6 +34,7 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
 }
 
 constexpr uint64_t longest_ticks = 256;
+constexpr uint32_t never = UINT32_MAX;
 constexpr double most_free_ticks = 1e9; // Near keeps 32 bits of a tick
 constexpr double um_per_mm = 1e3;
 
@@ -228,20 +229,21 @@ Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vecto
                       uint64_t tick, std::vector<Contact> &contacts) {
     if (tick < next_look_[i]) return {};
     Look look{i, poses, contacts, {}, {}};
+    // ticks of looks are counted from the first of all pairs of this positioner
     const uint64_t first = next_look_[i];
-    uint64_t next = UINT64_MAX, exact = UINT64_MAX;
+    const auto passed = static_cast<uint32_t>(tick - first);
+    uint32_t next = never, exact = never;
     for (Near &near : near(i)) {
-        uint64_t look_tick = near.look_tick(first);
-        if (tick >= look_tick) {
+        if (near.ticks_after(first) <= passed) {
             const double other_mm = near.number < arms_.size() ? travels_mm[near.number] : 0.0;
             plan_look(look, near, apart_mm(look, near, travels_mm[i] + other_mm), tick);
-            look_tick = near.look_tick(tick);
         }
-        next = std::min(next, look_tick);
-        if (near.exact != 0) exact = std::min(exact, look_tick);
+        const uint32_t after = near.ticks_after(first);
+        next = std::min(next, after);
+        exact = std::min(exact, after | (near.exact - 1U)); // never, unless by poses
     }
-    next_look_[i] = next;
-    next_exact_[i] = exact;
+    next_look_[i] = next == never ? UINT64_MAX : first + next;
+    next_exact_[i] = exact == never ? UINT64_MAX : first + exact;
     contacts = std::move(look.now);
     return look.push;
 }

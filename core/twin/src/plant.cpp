@@ -93,7 +93,6 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
-    foreseen_.assign(groups_.size(), 0);
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         keep_params(axis, units[axis].params);
@@ -125,31 +124,32 @@ void Plant::step(size_t group, uint64_t used) {
 }
 
 // What a new cell needs may lie far from the processor: it is asked for two ticks before, and the amplitudes
-// of the gear, of which the axis tells whether they are needed, a tick before.
+// of a gear of which the next node lies in another block a tick before.
 void Plant::foresee_cells(size_t group, uint64_t lanes) {
-    const uint64_t before = std::exchange(foreseen_[group], lanes);
-    for (uint64_t left = lanes & before; left != 0; left &= left - 1)
+    AxisGroup &g = groups_[group];
+    for (uint64_t left = lanes & g.leaving & g.block_ends; left != 0; left &= left - 1)
         fetch_gear(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
-    for (uint64_t left = lanes & ~before; left != 0; left &= left - 1)
+    for (uint64_t left = lanes & ~g.leaving; left != 0; left &= left - 1)
         fetch(axis_at(group, static_cast<size_t>(__builtin_ctzll(left))));
+    g.leaving = lanes;
 }
 
-// Gears that left their cell inside a tick. One thing of all of them, then the next: what takes long of one
-// does not wait for another's.
+// Gears that left their cell inside a tick, as many at once as one call for numbers serves. One thing of all
+// of them, then the next: what takes long of one does not wait for another's.
 void Plant::follow_cells(size_t group, uint64_t lanes) {
-    int32_t nodes[lane_count];
-    alignas(64) uint64_t counter[lane_count] = {};
-    alignas(64) double bell[lane_count];
-    const auto each = [lanes](auto &&what) {
-        size_t k = 0;
-        for (uint64_t left = lanes; left != 0; left &= left - 1, ++k)
-            what(k, static_cast<size_t>(__builtin_ctzll(left)));
-        return k;
-    };
-    const size_t count = each([&](size_t k, size_t lane) { nodes[k] = follow_cell(axis_at(group, lane)); });
-    each([&](size_t k, size_t lane) { counter[k] = axes_[axis_at(group, lane)].seat.counter(); });
-    kernel_->bells(counter, bell, static_cast<int>(count));
-    each([&](size_t k, size_t lane) { follow_seat(axis_at(group, lane), nodes[k], bell[k]); });
+    while (lanes != 0) {
+        size_t axes[bell_vector];
+        int32_t nodes[bell_vector];
+        alignas(64) uint64_t counter[bell_vector] = {};
+        alignas(64) double bell[bell_vector];
+        size_t count = 0;
+        for (; lanes != 0 && count < bell_vector; lanes &= lanes - 1)
+            axes[count++] = axis_at(group, static_cast<size_t>(__builtin_ctzll(lanes)));
+        for (size_t k = 0; k < count; ++k) nodes[k] = follow_cell(axes[k]);
+        for (size_t k = 0; k < count; ++k) counter[k] = axes_[axes[k]].seat.counter();
+        kernel_->bells(counter, bell, static_cast<int>(count));
+        for (size_t k = 0; k < count; ++k) follow_seat(axes[k], nodes[k], bell[k]);
+    }
 }
 
 // Asks for what a new cell changes.
@@ -160,15 +160,11 @@ void Plant::fetch(size_t axis) const {
     __builtin_prefetch(begin + offsetof(Axis, broken), 1);
 }
 
-// Next to the end of a block: for the amplitudes of the gear.
 void Plant::fetch_gear(size_t axis) const {
     constexpr size_t line = 64;
-    const Axis &a = axes_[axis];
-    const double gear_rad = lane(axis, &AxisGroup::gear_rad);
-    const bool up = gear_rad - a.cell.lo.gear_rad > a.cell.hi.gear_rad - gear_rad;
-    if ((a.cell.index & (block_nodes - 1)) != (up ? block_nodes - 2 : 0)) return;
-    const auto *begin = reinterpret_cast<const char *>(a.gear.waves.get());
-    const size_t bytes = a.gear.wave_count * sizeof(Gear::Wave);
+    const Gear &gear = axes_[axis].gear;
+    const auto *begin = reinterpret_cast<const char *>(gear.waves.get());
+    const size_t bytes = gear.wave_count * sizeof(Gear::Wave);
     for (size_t i = 0; i < bytes; i += line) __builtin_prefetch(begin + i);
     // to gcc a function that only asks for memory does nothing, and it leaves out the call
     asm volatile("");
@@ -425,7 +421,10 @@ int32_t Plant::follow_cell(size_t axis) {
     const int32_t before = axes_[axis].cell.index;
     seek_cell(axis, gear_rad);
     if (positive) g.gear_rad[at] = closed_rad();
-    return axes_[axis].cell.index - before;
+    const int32_t index = axes_[axis].cell.index, last = index > before ? block_nodes - 2 : 0;
+    const bool ends = (index & (block_nodes - 1)) == last;
+    g.block_ends = (g.block_ends & ~(uint64_t{1} << at)) | uint64_t{ends} << at;
+    return index - before;
 }
 
 // The cell moved on by so many nodes, up or down: what lies behind is forgotten. bell: of the seat's counter.

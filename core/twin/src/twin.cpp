@@ -136,7 +136,6 @@ struct Twin::State {
     bool quiet = false;           // a sync point has passed with every positioner asleep: time alone goes on
     // where the arms are: as of the last sync point (read), and of the next (written)
     std::vector<Pose> seen, next;
-    std::vector<uint8_t> posed; // by group: somebody has written `next` since
     // how far each has travelled by then (Neighbours::travel_mm), and where its gears were
     std::vector<double> travels_mm, next_travels_mm, gears_rad;
     Gravity gravity;
@@ -150,8 +149,8 @@ Twin::State::State(const TwinSetup &s)
       groups(plant.group_count()), index_of_id(id_count(s), no_index),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant)), feel(s.neighbours),
       skip_resting(s.skip_resting), felt(s.ids.size()), pushed(s.ids.size()), scoped(plant.group_count()),
-      close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()), posed(plant.group_count()),
-      travels_mm(s.ids.size()), next_travels_mm(s.ids.size()), gears_rad(plant.group_count() * lane_count),
+      close(plant.group_count()), seen(s.ids.size()), next(s.ids.size()), travels_mm(s.ids.size()),
+      next_travels_mm(s.ids.size()), gears_rad(plant.group_count() * lane_count),
       workers(s.threads, [this](size_t turn) { take_turn(turns[turn]); }) {
     boot(s);
     for (size_t g = 0; g < plant.group_count(); ++g)
@@ -271,16 +270,15 @@ void Twin::State::travel(size_t group) {
 
 void Twin::State::show_poses() {
     travels_mm = next_travels_mm;
-    for (size_t group = 0; group < posed.size(); ++group) {
-        if (posed[group] == 0) continue;
-        const Rows rows = rows_of(group);
-        std::copy(&next[rows.begin], &next[0] + rows.end, &seen[rows.begin]);
-        posed[group] = 0;
-    }
+    for (size_t group = 0; group < groups.size(); ++group)
+        for (uint32_t left = std::exchange(groups[group].posed, 0); left != 0; left &= left - 1) {
+            const size_t i = group * lane_group_size + static_cast<size_t>(std::countr_zero(left));
+            seen[i] = next[i];
+        }
 }
 
 void Twin::State::publish(size_t i) {
-    posed[i / lane_group_size] = 1;
+    groups[i / lane_group_size].posed |= 1U << i % lane_group_size;
     const Angles rigid = at_rest(i);
     next[i] = neighbours.pose(
         i, {rigid.alpha_rad + plant.deflection_rad(2 * i), rigid.beta_rad + plant.deflection_rad(2 * i + 1)},
@@ -288,10 +286,12 @@ void Twin::State::publish(size_t i) {
 }
 
 void Twin::State::feel_neighbours(size_t i, Outbox &outbox) {
-    Positioner &p = positioners[i];
-    std::vector<Contact> contacts; // most have none, before and after
-    if (p.touching) contacts = std::move(p.touching->contacts);
+    std::vector<Contact> contacts;
+    if (felt[i] != 0) contacts = std::move(positioners[i].touching->contacts);
     const Push push = neighbours.push(i, seen, travels_mm, now, contacts);
+    // most touch nothing, before and after: the positioner itself, far from the processor, is not asked then
+    if (felt[i] == 0 && contacts.empty() && push == Push{}) return;
+    Positioner &p = positioners[i];
     if (!contacts.empty() || p.touching) p.touch_now().contacts = std::move(contacts);
     note_touches(i, outbox);
     if (push != p.touch().push) apply_torque(i, push);
@@ -497,7 +497,7 @@ size_t Twin::bytes_per_positioner() const {
     for (const PositionerGroup &g : s_->groups) bytes += held(g.outbox.frames) + held(g.outbox.touches);
     bytes += held(s_->groups) + held(s_->seen) + held(s_->next) + held(s_->travels_mm) +
              held(s_->next_travels_mm) + held(s_->gears_rad) + held(s_->felt) + held(s_->pushed);
-    bytes += held(s_->scoped) + held(s_->close) + held(s_->posed) + held(s_->turns) + held(s_->index_of_id);
+    bytes += held(s_->scoped) + held(s_->close) + held(s_->turns) + held(s_->index_of_id);
     return s_->count == 0 ? 0 : (bytes + s_->count - 1) / s_->count;
 }
 
@@ -505,6 +505,7 @@ void Twin::set_external_torque(size_t i, int axis, double torque_Nm) {
     Positioner &p = s_->at(i);
     p.touch_now().user_push.torque_Nm[axis] = torque_Nm;
     s_->apply_torque(i, p.touch().push);
+    if (p.touch().over()) p.touching.reset();
 }
 
 void Twin::set_loads(size_t i, const AxisLoad &alpha, const AxisLoad &beta) {

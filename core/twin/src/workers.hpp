@@ -94,8 +94,9 @@ class Workers {
     const size_t share_count_;
     const std::unique_ptr<Share[]> shares_;
     std::vector<std::thread> helpers_;
-    std::atomic<size_t> left_{0};  // tasks of this batch that are not done
-    std::atomic<size_t> batch_{0}; // number of it
+    // apart: one is looked at by those that wait for the next batch while the other counts
+    alignas(64) std::atomic<size_t> left_{0};  // tasks of this batch that are not done
+    alignas(64) std::atomic<size_t> batch_{0}; // number of it
     std::atomic<bool> closing_{false};
 };
 

@@ -167,8 +167,7 @@ template <int from> FL_INLINED inline Exact either(Mask flags, Exact a, Exact b)
     return reinterpret_cast<Exact>(
         _mm512_mask_blend_pd(bits, reinterpret_cast<__m512d>(b), reinterpret_cast<__m512d>(a)));
 }
-#else
-#if FL_KERNEL_WIDTH == 8
+#elif FL_KERNEL_WIDTH == 8
 template <int from> FL_INLINED inline Exact exact(V v) {
     return reinterpret_cast<Exact>(
         _mm256_cvtps_pd(_mm256_extractf128_ps(reinterpret_cast<__m256>(v), from / 4)));
@@ -177,20 +176,28 @@ FL_INLINED inline V rounded(Exact lower, Exact upper) {
     return reinterpret_cast<V>(_mm256_set_m128(_mm256_cvtpd_ps(reinterpret_cast<__m256d>(upper)),
                                                _mm256_cvtpd_ps(reinterpret_cast<__m256d>(lower))));
 }
+template <int from> FL_INLINED inline Exact either(Mask flags, Exact a, Exact b) {
+    const __m128i part = _mm256_extracti128_si256(reinterpret_cast<__m256i>(flags), from / 4);
+    return reinterpret_cast<ExactMask>(_mm256_cvtepi32_epi64(part)) ? a : b;
+}
 #else
 template <int from> FL_INLINED inline Exact exact(V v) {
-    return Exact{static_cast<double>(v[from]), static_cast<double>(v[from + 1])};
+    Exact part;
+    for (int k = 0; k < exact_width; ++k) part[k] = static_cast<double>(v[from + k]);
+    return part;
 }
 FL_INLINED inline V rounded(Exact lower, Exact upper) {
-    return V{static_cast<float>(lower[0]), static_cast<float>(lower[1]), static_cast<float>(upper[0]),
-             static_cast<float>(upper[1])};
+    V both;
+    for (int k = 0; k < exact_width; ++k) {
+        both[k] = static_cast<float>(lower[k]);
+        both[exact_width + k] = static_cast<float>(upper[k]);
+    }
+    return both;
 }
-#endif
 template <int from> FL_INLINED inline Exact either(Mask flags, Exact a, Exact b) {
-    typedef int32_t Part __attribute__((vector_size(2 * width)));
-    Part part;
-    for (int k = 0; k < exact_width; ++k) part[k] = flags[from + k];
-    return __builtin_convertvector(part, ExactMask) ? a : b;
+    Mask twice;
+    for (int k = 0; k < width; ++k) twice[k] = flags[from + k / 2];
+    return reinterpret_cast<ExactMask>(twice) ? a : b;
 }
 #endif
 
@@ -299,19 +306,16 @@ inline void end_ways_of_chunk(Tick &t, int chunk, TickEvents &events) {
 
 constexpr int chunk_vectors = chunk_size / width;
 
-// What for each number below count: without a loop where all fits into the registers of the machine.
-template <int count, class What> FL_INLINED inline void in_turn(What &&what) {
+// what(n, lane) for each vector n of some chunks and its first lane: without a loop where all fits into the
+// registers of the machine.
+template <int count, class What> FL_INLINED inline void in_turn(const int *chunks, What &&what) {
     if constexpr (width < 16) {
-        for (int n = 0; n < count; ++n) what(n);
+        for (int k = 0; k < count; ++k)
+            for (int v = 0; v < chunk_vectors; ++v) what(k * chunk_vectors + v, chunks[k] + v * width);
     } else {
-        if constexpr (count > 1) in_turn<count - 1>(what);
-        what(count - 1);
+        if constexpr (count > 1) in_turn<count - 1>(chunks, what);
+        what(count - 1, chunks[count - 1]);
     }
-}
-
-// The first lane of vector n of some chunks.
-FL_INLINED inline int lane_of(const int *chunks, int n) {
-    return chunks[n / chunk_vectors] + n % chunk_vectors * width;
 }
 
 struct Motion {
@@ -414,7 +418,7 @@ FL_INLINED inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
 template <int count> inline void move(Tick &t, const int *chunks, int substeps, const Done *done) {
     Motion motion[count * chunk_vectors];
     const auto each = [&](auto &&what) FL_INLINED {
-        in_turn<count * chunk_vectors>([&](int n) FL_INLINED { what(motion[n], lane_of(chunks, n)); });
+        in_turn<count>(chunks, [&](int n, int i) FL_INLINED { what(motion[n], i); });
     };
     each([&](Motion &m, int i) FL_INLINED {
         m = load_motion(t, i);
@@ -548,20 +552,18 @@ template <int count> struct Push {
 template <int count, bool coarse>
 FL_INLINED inline void push_through(const Tick &t, const int *chunks, int substeps, float per_step,
                                     Push<count> &p) {
-    Pushing motion[count * chunk_vectors];
     const auto each = [&](auto &&what) FL_INLINED {
-        in_turn<count * chunk_vectors>([&](int n) FL_INLINED { what(motion[n], lane_of(chunks, n)); });
+        in_turn<count>(chunks, [&](int n, int i) FL_INLINED { what(p.motion[n], i, p.turned[n]); });
     };
-    each([&](Pushing &m, int i) FL_INLINED {
+    each([&](Pushing &m, int i, V &) FL_INLINED {
         m = load_pushing(t, i, per_step);
         drift(m, 0.5f * (m.p * way_per_p<coarse>(t, i)));
     });
     for (int n = 1; n < substeps; ++n)
-        each([&](Pushing &m, int i) FL_INLINED { drift(m, push<coarse>(t, i, m)); });
-    in_turn<count * chunk_vectors>([&](int n) FL_INLINED {
-        p.turned[n] = motion[n].turned;
-        drift(motion[n], 0.5f * push<coarse>(t, lane_of(chunks, n), motion[n]));
-        p.motion[n] = motion[n];
+        each([&](Pushing &m, int i, V &) FL_INLINED { drift(m, push<coarse>(t, i, m)); });
+    each([&](Pushing &m, int i, V &at_kick) FL_INLINED {
+        at_kick = m.turned;
+        drift(m, 0.5f * push<coarse>(t, i, m));
     });
 }
 
@@ -571,13 +573,16 @@ template <int count, bool coarse>
 inline void glide(Tick &t, const int *chunks, Substeps substeps, Chunks &others, TickEvents &events) {
     Push<count> p;
     push_through<count, coarse>(t, chunks, substeps.pushing, coarse ? per_step(substeps) : 1.0f, p);
-    in_turn<count>([&](int k) FL_INLINED {
-        const int chunk = chunks[k], first = k * chunk_vectors;
-        if (!all_of_chunk(chunk, [&](int i, int v) { return kept_pushing(t, i, p.motion[first + v]); }))
-            return others.add(chunk);
-        for (int v = 0; v < chunk_vectors; ++v)
-            end_pushing<coarse>(t, chunk + v * width, p.motion[first + v], p.turned[first + v],
-                                steps(substeps), events);
+    Mask kept[count * chunk_vectors];
+    in_turn<count>(chunks, [&](int n, int i) FL_INLINED { kept[n] = kept_pushing(t, i, p.motion[n]); });
+    in_turn<count>(chunks, [&](int n, int i) FL_INLINED {
+        const int first = n - n % chunk_vectors; // of the chunk
+        Mask every = kept[first];
+        for (int v = 1; v < chunk_vectors; ++v) every &= kept[first + v];
+        if (all(every))
+            end_pushing<coarse>(t, i, p.motion[n], p.turned[n], steps(substeps), events);
+        else if (n == first)
+            others.add(i);
     });
 }
 

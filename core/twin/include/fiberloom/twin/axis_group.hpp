@@ -66,8 +66,10 @@ struct alignas(64) AxisGroup {
     uint32_t noise_key[lane_count];
     int32_t still[lane_count]; // all bits: the last tick changed nothing, and nothing has been changed since
     int32_t hall_cnt[2][lane_count];
-    uint64_t near_stop; // a bit for each lane whose gear may come to a stop in its cell, with a motor radian
-                        // to spare
+
+    // A bit for each lane: whose gear may come to a stop in its cell, with a motor radian to spare; that was
+    // about to leave its cell a tick ago; of which the next node on its way lies in another NodeBlock.
+    uint64_t near_stop, leaving, block_ends;
 };
 
 // What happened in a tick, one bit per lane.

@@ -137,11 +137,9 @@ class Neighbours {
         uint32_t number : number_bits; // as in Touch
         uint32_t worth : worth_bits;   // nearer by their travels than this, another exact look pays
 
-        // The tick of the next look. All pairs of a positioner are looked at from `first` on, none 24 days
-        // later.
-        uint64_t look_tick(uint64_t first) const {
-            return first + (next_look - static_cast<uint32_t>(first));
-        }
+        // How long after the tick `first` the next look is. All pairs of a positioner are looked at from
+        // `first` on, none 24 days later.
+        uint32_t ticks_after(uint64_t first) const { return next_look - static_cast<uint32_t>(first); }
         void set_worth(double mm) {
             constexpr double most = (1U << worth_bits) - 1;
             worth =
