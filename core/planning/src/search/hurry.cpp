@@ -23,7 +23,10 @@ constexpr int usual_robots = 500;
 // Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
 // each step that it is too late, up to a most.
 constexpr int knots_at_once = 16;
-constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 3000000;
+constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 2200000;
+// Before all that the knot of one that is later than this share of `far` grows from the last one alone.
+constexpr int share_before_growing = 14;
+constexpr std::int64_t most_work_of_growing = 1600000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
 constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
@@ -80,11 +83,22 @@ bool Repair::may_untie(int behind) const {
     return of_usual(attempts_.work_of_untying) < most;
 }
 
+// The same of a knot that grows.
+bool Repair::may_grow(int behind, int far) const {
+    return share_before_growing * behind > far && of_usual(attempts_.work_of_growing) < most_work_of_growing;
+}
+
 // One that is far behind starts again in between, until it arrives earlier or too much has been done. Where
 // all of that is in vain its knot begins anew.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
     bool done = false;
+    if (may_grow(behind, far) && !enough()) {
+        const std::int64_t before = work();
+        done = untie(last, far, true);
+        attempts_.work_of_growing += work() - before;
+        if (done) return true;
+    }
     do {
         const std::int64_t before = work();
         for (int k = 0; k < starts_at_once && !done && may_start_again(behind) && !enough(); ++k)
@@ -95,7 +109,7 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     } while (!done && may_start_again(behind) && !enough());
     for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
         const std::int64_t before = work();
-        done = untie(last, wanted_steps);
+        done = untie(last, k % 2 == 1 ? far : wanted_steps, k % 2 == 1);
         attempts_.work_of_untying += work() - before;
     }
     return done;

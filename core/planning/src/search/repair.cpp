@@ -26,7 +26,6 @@ constexpr int tidy_enough = 12; // cost above the least: three corners are not w
 constexpr int tidy_excess = 60; // ... and these two
 // Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
 constexpr int many_changes = 13;
-constexpr int joint_every = 12;  // of the repairs around a pair, one is a joint search
 constexpr int more_time = 4;     // a deadline grows by the first one over this
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
@@ -186,7 +185,7 @@ Repair::Group Repair::choose(Pair pair) {
     Group group{{pair.first, pair.second}, {}, 0};
     for (int more = random_.below(7); more > 0; --more) {
         const PathIndex pick = near_one_of(pair, near_by);
-        if (!group.members.contains(pick)) group.members.push_back(pick);
+        if (is_there(pick) && !group.members.contains(pick)) group.members.push_back(pick);
     }
     save(group);
     order(group.members);
@@ -318,15 +317,15 @@ int Repair::affordable(const Group &group) const {
     return std::max(steps, least_affordable) * conflict_cost + path_itself;
 }
 
-// Whether it was given more time than all, or hurries: else a joint search takes long, and seldom finds a
-// way.
+// Whether it was given more time than all, or hurries, or few are there: else a joint search takes long, and
+// seldom finds a way.
 bool Repair::has_time(Pair pair) const {
-    return last_steps_ == 0 ||
+    return last_steps_ == 0 || joint_every_ < joint_every_usual ||
            2 * std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline) > 3 * first_steps_;
 }
 
 void Repair::round(Pair pair) {
-    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % joint_every == joint_every - 1;
+    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % joint_every_ == joint_every_ - 1;
     if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);
@@ -355,7 +354,7 @@ List<PathIndex> Repair::choose_joint(Pair pair) {
     List<PathIndex> joint{pair.first, pair.second};
     if (pairs_by_flood_ || joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
     const PathIndex third = near_one_of(pair, 6);
-    if (third != pair.first && third != pair.second) joint.push_back(third);
+    if (is_there(third) && third != pair.first && third != pair.second) joint.push_back(third);
     return joint;
 }
 

@@ -85,13 +85,26 @@ class Repair {
     bool seek_anew(const List<PathIndex> &knot);
     void order(List<PathIndex> &members);
     List<PathIndex> knot_of(PathIndex i);
-    bool begin_anew(List<PathIndex> knot, int most_pairs);
+    bool begin_anew(List<PathIndex> knot, int most_pairs, std::int64_t most_work);
     bool part(int most);
     bool part_anew();
     PathIndex last_changed(int step) const;
     bool squeeze_changed(int step);
     bool may_untie(int behind) const;
-    bool untie(PathIndex last, int wanted_steps);
+    bool may_grow(int behind, int far) const;
+    bool untie(PathIndex last, int wanted_steps, bool alone);
+    bool begin_among_all(PathIndex last, int wanted_steps);
+    bool grow_knot(PathIndex last, int wanted_steps);
+    List<PathIndex> others_around(const List<PathIndex> &knot) const;
+    void leave(const List<PathIndex> &others);
+    void come_back(const List<PathIndex> &others);
+    bool is_there(PathIndex i) const { return paths_.at(i).presence == Presence::path; }
+    List<PathIndex> in_conflict(const List<PathIndex> &knot) const;
+    PathIndex last_of(const List<PathIndex> &some) const;
+    void allow_before(int step);
+    void hurry_knot(const List<PathIndex> &knot, int wanted_steps);
+    bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, int step, int wanted_steps);
+    bool fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, List<PathIndex> &rivals);
     std::int64_t of_usual(std::int64_t of_all) const;
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
@@ -120,13 +133,15 @@ class Repair {
     // and what has been done for those that are far behind.
     struct Attempts {
         int all = 0, with_repairs = 0;
-        std::int64_t work_in_the_end = 0, work_of_untying = 0;
+        std::int64_t work_in_the_end = 0, work_of_untying = 0, work_of_growing = 0;
     } attempts_;
     int joint_left_ = 0; // nodes that joint searches may still look at
     std::int64_t floods_ = 0;
     static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
     std::int64_t most_work_ = unlimited; // beyond which repairs end
     int vain_share_ = 1;                 // over this, repairs are made in vain
+    static constexpr int joint_every_usual = 12;
+    int joint_every_ = joint_every_usual; // of the repairs around a pair, one is a joint search
     bool pairs_by_flood_ = false; // joint searches are of two alone, and keep to a flood where they can
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
