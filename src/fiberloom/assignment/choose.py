@@ -98,18 +98,18 @@ def conflicts(
 
 def _neighbouring(plane: FocalPlane, positioner: Ints) -> Iterator[tuple[Ints, Ints]]:
     """All pairs of candidates of neighbours, in portions that fit the memory."""
-    start = np.searchsorted(positioner, np.arange(plane.n + 1)).tolist()
-    first, second, size = [], [], 0
-    for i, j in plane.neighbour_pairs(1.0).tolist():
-        a, b = np.arange(start[i], start[i + 1]), np.arange(start[j], start[j + 1])
-        first.append(np.repeat(a, len(b)))
-        second.append(np.tile(b, len(a)))
-        size += len(a) * len(b)
-        if size > PAIRS_AT_ONCE:
-            yield np.concatenate(first), np.concatenate(second)
-            first, second, size = [], [], 0
-    if first:
-        yield np.concatenate(first), np.concatenate(second)
+    start = np.searchsorted(positioner, np.arange(plane.n + 1))
+    count = np.diff(start)
+    one, other = plane.neighbour_pairs(1.0).T
+    size = count[one] * count[other]
+    portion = np.cumsum(size) // PAIRS_AT_ONCE
+    for rows in np.split(np.arange(len(size)), np.flatnonzero(np.diff(portion)) + 1):
+        # the candidates of one after the other, each with all of the other positioner
+        ends = np.cumsum(size[rows])
+        place = np.arange(size[rows].sum()) - np.repeat(ends - size[rows], size[rows])
+        wide = np.repeat(count[other[rows]], size[rows])
+        first = np.repeat(start[one[rows]], size[rows]) + place // wide
+        yield first, np.repeat(start[other[rows]], size[rows]) + place % wide
 
 
 def shortlist(positioner: Ints, level: Ints, rng: np.random.Generator, wish: Wish = ANY) -> Flags:
