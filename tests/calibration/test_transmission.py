@@ -94,8 +94,9 @@ def test_rows_can_be_picked():
 
 def test_paths_of_many_are_as_each_alone():
     maps, rng = some_maps(), np.random.default_rng(4)
-    rows = [1, 0, 1]
-    paths = [rng.uniform(-20.0, 400.0, (count, 2)) for count in (1, 7, 3)]  # also beyond the knots
+    rows = [1, 0, 1, 2]
+    beyond = np.array([[-20.0, 400.0], [400.0, -20.0]])  # the knots
+    paths = [*(rng.uniform(0.0, 360.0, (count, 2)) for count in (1, 7, 3)), beyond]
     for direction in (NEGATIVE, POSITIVE):
         together = maps.paths_to_wire(rows, paths, direction)
         for row, path, found in zip(rows, paths, together, strict=True):
