@@ -23,9 +23,10 @@ constexpr int usual_robots = 500;
 // Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
 // each step that it is too late, up to a most.
 constexpr int knots_at_once = 16;
-constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 2200000;
-// Before all that the knot of one that is later than this share of `far` grows from the last one alone.
-constexpr int share_before_growing = 14;
+constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 3000000;
+// The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
+// if it is far too late, else once all that was in vain.
+constexpr int share_before_all = 10, share_in_the_end = 14;
 constexpr std::int64_t most_work_of_growing = 1600000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
@@ -74,7 +75,8 @@ bool Repair::squeeze_in_the_end(PathIndex last, int wanted_steps) {
 // Whether there is work left for one that is so many steps too late.
 bool Repair::may_start_again(int behind) const {
     const std::int64_t most = std::min(work_per_step_behind * behind, most_work_in_the_end);
-    return of_usual(attempts_.work_in_the_end) < most && of_usual(work()) < most_work_of_a_plan;
+    return of_usual(attempts_.work_in_the_end) < most &&
+           of_usual(work() - attempts_.work_of_growing) < most_work_of_a_plan;
 }
 
 // The same of knots that begin anew.
@@ -83,9 +85,15 @@ bool Repair::may_untie(int behind) const {
     return of_usual(attempts_.work_of_untying) < most;
 }
 
-// The same of a knot that grows.
-bool Repair::may_grow(int behind, int far) const {
-    return share_before_growing * behind > far && of_usual(attempts_.work_of_growing) < most_work_of_growing;
+// A knot that grows, if there is work left for it. Where that fails all goes on as if it had not been tried.
+bool Repair::grow(PathIndex last, int far) {
+    if (of_usual(attempts_.work_of_growing) >= most_work_of_growing || enough()) return false;
+    const std::int64_t before = work();
+    const Random chance = random_;
+    const bool done = untie(last, far, true);
+    attempts_.work_of_growing += work() - before;
+    if (!done) random_ = chance;
+    return done;
 }
 
 // One that is far behind starts again in between, until it arrives earlier or too much has been done. Where
@@ -93,12 +101,7 @@ bool Repair::may_grow(int behind, int far) const {
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
     bool done = false;
-    if (may_grow(behind, far) && !enough()) {
-        const std::int64_t before = work();
-        done = untie(last, far, true);
-        attempts_.work_of_growing += work() - before;
-        if (done) return true;
-    }
+    if (share_before_all * behind > far && grow(last, far)) return true;
     do {
         const std::int64_t before = work();
         for (int k = 0; k < starts_at_once && !done && may_start_again(behind) && !enough(); ++k)
@@ -109,10 +112,10 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     } while (!done && may_start_again(behind) && !enough());
     for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
         const std::int64_t before = work();
-        done = untie(last, k % 2 == 1 ? far : wanted_steps, k % 2 == 1);
+        done = untie(last, wanted_steps, false);
         attempts_.work_of_untying += work() - before;
     }
-    return done;
+    return done || (share_in_the_end * behind > far && grow(last, far));
 }
 
 // As much for as many as usual.

@@ -91,7 +91,7 @@ class Repair {
     PathIndex last_changed(int step) const;
     bool squeeze_changed(int step);
     bool may_untie(int behind) const;
-    bool may_grow(int behind, int far) const;
+    bool grow(PathIndex last, int far);
     bool untie(PathIndex last, int wanted_steps, bool alone);
     bool begin_among_all(PathIndex last, int wanted_steps);
     bool grow_knot(PathIndex last, int wanted_steps);
