@@ -23,10 +23,10 @@ constexpr int usual_robots = 500;
 // Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
 // each step that it is too late, up to a most.
 constexpr int knots_at_once = 16;
-constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 3000000;
+constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 1500000;
 // The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
 // if it is far too late, else once all that was in vain.
-constexpr int share_before_all = 10, share_in_the_end = 14;
+constexpr int share_before_all = 4, share_in_the_end = 14;
 constexpr std::int64_t most_work_of_growing = 1600000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
