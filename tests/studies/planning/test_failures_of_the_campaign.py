@@ -15,6 +15,16 @@ def array_at(buffer_mm: float) -> Array:
     return Array.of(str(folder), buffer_mm)
 
 
+def check_whole_pair(seed: int, buffer_mm: float, refused: set[int], most: float) -> None:
+    """Who is refused, that the verifier passes the plan, and that it takes less than `most` of the bound."""
+    array = array_at(buffer_mm)
+    ends_deg = array.ends_of(seed)
+    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
+    assert set(made.refused) == refused
+    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
+    assert made.duration_s < most * bound_s(array.plane, *ends_deg, refused=refused)
+
+
 # In a pocket 962 can leave its goal to 110 or to 944, not to both. 1363 cannot leave all of 120, 373 and 1359
 # theirs: its pocket is shut by 1333, which is in one itself.
 @pytest.mark.parametrize(
@@ -100,23 +110,13 @@ def test_one_that_can_make_way_is_given_up_rather_than_one_that_cannot():
 # 202 has lost its goal to 1108, in a pocket. It left its start for 1383 and 615, and went round to come back
 # to it: 2.395.
 def test_one_that_has_lost_its_goal_need_not_come_back_to_its_start():
-    array = array_at(2.5)
-    ends_deg = array.ends_of(690)
-    made = plan(array.plane, *ends_deg, seed=690, settings=PlanSettings(collision_buffer_mm=2.5))
-    assert set(made.refused) == {1108, 202}
-    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
-    assert made.duration_s < 1.3 * bound_s(array.plane, *ends_deg, refused=made.refused)
+    check_whole_pair(690, 2.5, {1108, 202}, 1.3)
 
 
 # Before floods of two told whether there is a way in time: 1.409, 1.355 and 2.388.
 @pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(261, 2.0, 1.3), (590, 2.0, 1.3), (473, 2.5, 1.3)])
 def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, most):
-    array = array_at(buffer_mm)
-    ends_deg = array.ends_of(seed)
-    settings = PlanSettings(collision_buffer_mm=buffer_mm)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=settings)
-    assert made.refused == {}
-    assert made.duration_s < most * bound_s(array.plane, *ends_deg)
+    check_whole_pair(seed, buffer_mm, set(), most)
 
 
 # Before the last one and some around it started again: 1.300, 1.308, 1.339 and 1.473.
@@ -125,12 +125,7 @@ def test_floods_of_two_tell_which_knots_come_undone_in_time(seed, buffer_mm, mos
     [(48, 2.0, 1.3), (76, 2.0, 1.3), (452, 2.0, 1.3), (289, 2.5, 1.4)],
 )
 def test_those_that_are_far_behind_start_again(seed, buffer_mm, most):
-    array = array_at(buffer_mm)
-    ends_deg = array.ends_of(seed)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
-    assert made.refused == {}
-    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
-    assert made.duration_s < most * bound_s(array.plane, *ends_deg)
+    check_whole_pair(seed, buffer_mm, set(), most)
 
 
 # Before knots began anew: 1.382, 1.929, 1.441, 2.111, 1.914 and 1.771. At 3.0 mm 52 was late, and in 398 two
@@ -147,12 +142,7 @@ def test_those_that_are_far_behind_start_again(seed, buffer_mm, most):
     ],
 )
 def test_knots_that_begin_anew(seed, buffer_mm, refused, most):
-    array = array_at(buffer_mm)
-    ends_deg = array.ends_of(seed)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
-    assert set(made.refused) == refused
-    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
-    assert made.duration_s < most * bound_s(array.plane, *ends_deg, refused=refused)
+    check_whole_pair(seed, buffer_mm, refused, most)
 
 
 # Before the knot of the last one grew from it alone: 2.035, 1.566, 1.522, 1.513 and 1.503.
@@ -167,12 +157,7 @@ def test_knots_that_begin_anew(seed, buffer_mm, refused, most):
     ],
 )
 def test_knots_that_grow_until_all_others_fit_in(seed, buffer_mm, refused, most):
-    array = array_at(buffer_mm)
-    ends_deg = array.ends_of(seed)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=PlanSettings(collision_buffer_mm=buffer_mm))
-    assert set(made.refused) == refused
-    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
-    assert made.duration_s < most * bound_s(array.plane, *ends_deg, refused=refused)
+    check_whole_pair(seed, buffer_mm, refused, most)
 
 
 # On grids that were finer everywhere: 2.206, 1.874, 1.612 and 1.593. Alone 1131 and 1058 took as long.
@@ -196,13 +181,7 @@ def test_a_grid_is_finer_only_where_the_way_is_narrow(seed, around):
     [(133, 3.0, set(), 1.6), (747, 2.5, {204}, 2.0), (398, 3.0, set(), 2.0)],
 )
 def test_grids_that_are_finer_at_their_ends_take_knots_apart(seed, buffer_mm, refused, most):
-    array = array_at(buffer_mm)
-    ends_deg = array.ends_of(seed)
-    settings = PlanSettings(collision_buffer_mm=buffer_mm)
-    made = plan(array.plane, *ends_deg, seed=seed, settings=settings)
-    assert set(made.refused) == refused
-    assert made.duration_s < most * bound_s(array.plane, *ends_deg, refused=refused)
-    assert verify(array.plane, made, start_deg=ends_deg[0], goal_deg=ends_deg[1]).ok
+    check_whole_pair(seed, buffer_mm, refused, most)
 
 
 def test_what_holds_the_slowest_plan_up():

@@ -16,10 +16,9 @@ constexpr int most_failures = 2; // of squeezes one after the other, before this
 // A pair that resists begins anew after a part of the repairs that are otherwise made in vain.
 constexpr int share_before_anew = 3;
 // A knot that grows: how many it may be, how many join it at once, repairs and work for one beginning, for
-// all others to come back, and for the knot to the end. A joint search looks at two alone, and is soon done.
+// all others to come back, and for the knot to the end.
 constexpr int most_of_a_knot = 12, join_at_once = 2, repairs_of_a_return = 40, repairs_alone = 12;
 constexpr std::int64_t work_of_a_beginning = 300000, work_of_a_return = 40000, work_of_growing = 800000;
-constexpr int joint_every_alone = 3;
 
 } // namespace
 
@@ -242,9 +241,9 @@ bool Repair::untie(PathIndex last, int wanted_steps, bool alone) {
     allow_before(best);
     paths_.note_changes();
     pairs_by_flood_ = true;
-    if (alone) joint_every_ = joint_every_alone;
+    alone_ = alone;
     const bool done = alone ? grow_knot(last, wanted_steps) : begin_among_all(last, wanted_steps);
-    joint_every_ = joint_every_usual;
+    alone_ = false;
     pairs_by_flood_ = false;
     paths_.end_changes(done);
     if (!done)

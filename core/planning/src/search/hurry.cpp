@@ -96,8 +96,8 @@ bool Repair::grow(PathIndex last, int far) {
     return done;
 }
 
-// One that is far behind starts again in between, until it arrives earlier or too much has been done. Where
-// all of that is in vain its knot begins anew.
+// The knot of one that is far too late grows. One that is far behind starts again in between, until it
+// arrives earlier or too much has been done; where all of that is in vain its knot begins anew, and grows.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
     bool done = false;

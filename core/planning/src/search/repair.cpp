@@ -26,6 +26,8 @@ constexpr int tidy_enough = 12; // cost above the least: three corners are not w
 constexpr int tidy_excess = 60; // ... and these two
 // Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
 constexpr int many_changes = 13;
+// Of the repairs around a pair, one is a joint search; where a knot grows, and few are there, more of them.
+constexpr int joint_every = 12, joint_every_alone = 3;
 constexpr int more_time = 4;     // a deadline grows by the first one over this
 constexpr int late_patience = 8; // repairs around a pair that meets only if one is late, before it is spared
 constexpr int patience = 16;     // repairs around a pair without success before the deadline grows
@@ -320,12 +322,13 @@ int Repair::affordable(const Group &group) const {
 // Whether it was given more time than all, or hurries, or few are there: else a joint search takes long, and
 // seldom finds a way.
 bool Repair::has_time(Pair pair) const {
-    return last_steps_ == 0 || joint_every_ < joint_every_usual ||
+    return last_steps_ == 0 || alone_ ||
            2 * std::max(paths_.at(pair.first).deadline, paths_.at(pair.second).deadline) > 3 * first_steps_;
 }
 
 void Repair::round(Pair pair) {
-    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % joint_every_ == joint_every_ - 1;
+    const int every = alone_ ? joint_every_alone : joint_every;
+    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % every == every - 1;
     if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);

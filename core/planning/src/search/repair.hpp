@@ -140,8 +140,7 @@ class Repair {
     static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
     std::int64_t most_work_ = unlimited; // beyond which repairs end
     int vain_share_ = 1;                 // over this, repairs are made in vain
-    static constexpr int joint_every_usual = 12;
-    int joint_every_ = joint_every_usual; // of the repairs around a pair, one is a joint search
+    bool alone_ = false;                 // a knot grows: few are there
     bool pairs_by_flood_ = false; // joint searches are of two alone, and keep to a flood where they can
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set

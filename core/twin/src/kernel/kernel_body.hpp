@@ -72,9 +72,10 @@ inline void sense_hall(AxisGroup &g, int chunk, uint32_t tick) {
     }
 }
 
+constexpr uint64_t chunk_lanes = UINT64_MAX >> (64 - chunk_size); // a bit for each of its lanes
+
 // Whether a chunk is to be left out: nothing moves in it, and no firmware looks at it or drives it.
 inline bool left_out(const AxisGroup &g, int chunk, uint64_t used) {
-    constexpr uint64_t chunk_lanes = UINT64_MAX >> (64 - chunk_size);
     if ((used >> chunk & chunk_lanes) != 0) return false;
     int32_t every = -1;
     for (int i = chunk; i < chunk + chunk_size; ++i) every &= g.still[i];
@@ -168,7 +169,7 @@ template <bool stops> FL_INLINED inline void begin_ways(Tick &t, int i) {
 }
 
 inline void begin_ways_of_chunk(Tick &t, int chunk) {
-    const bool stops = (t.g.near_stop >> chunk & (UINT64_MAX >> (64 - chunk_size))) != 0;
+    const bool stops = (t.g.near_stop >> chunk & chunk_lanes) != 0;
     for (int i = chunk; i < chunk + chunk_size; i += width)
         stops ? begin_ways<true>(t, i) : begin_ways<false>(t, i);
 }
@@ -212,6 +213,7 @@ inline void end_ways_of_chunk(Tick &t, int chunk, TickEvents &events) {
 // -- inside a tick, in registers -----------------------------------------------------------------
 
 constexpr int chunk_vectors = chunk_size / width;
+static_assert(width < 16 || chunk_vectors == 1); // a chunk is a vector there
 
 // what(n, lane) for each vector n of some chunks and its first lane: without a loop where all fits into the
 // registers of the machine.

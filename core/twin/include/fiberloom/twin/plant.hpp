@@ -169,10 +169,6 @@ class Plant {
         float spring_0_Nm = 0.0f; // of the torsion spring at 0: its parameters lie far from here
         double torque_Nm = 0.0;
     };
-    struct Foreseen {            // lanes of a group
-        uint64_t leaving = 0;    // that were about to leave their cells a tick ago
-        uint64_t block_ends = 0; // whose next node on their way lies in another block
-    };
     static const Broken whole;
     const Broken &broken(size_t axis) const { return axes_[axis].broken ? *axes_[axis].broken : whole; }
     template <class T> using Field = T (AxisGroup::*)[lane_count];
