@@ -36,7 +36,7 @@ def figure_with(
 def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
     """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`.
 
-    A PNG is compressed quickly: all levels make files of much the same size, the usual one in twice the time.
+    A PNG is compressed quickly: by the usual level the file would be little smaller, and take longer.
     """
     if path.suffix == ".png":
         how = {"pil_kwargs": {"compress_level": 1}} | how
