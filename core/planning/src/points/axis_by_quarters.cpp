@@ -55,7 +55,8 @@ double AxisByQuarters::sent(int quarter) const {
     return 0.5 * (raw(quarter - 1) + raw(quarter + 1));
 }
 
-int AxisByQuarters::nearest(double angle_rad) const {
+int AxisByQuarters::nearest(int quarter) const {
+    const double angle_rad = raw(quarter);
     int low = 0, high = grid_->size() - 1;
     while (high - low > 1) {
         const int middle = (low + high) / 2;

@@ -26,8 +26,8 @@ class AxisByQuarters {
     // Where it is on the raw motion, and in what is sent.
     double raw(int quarter) const { return raw_rad_[std::clamp(quarter, 0, raw_rad_.size() - 1)]; }
     double sent(int quarter) const;
-    // The line that is nearest to an angle.
-    int nearest(double angle_rad) const;
+    // The line that is nearest to the raw motion.
+    int nearest(int quarter) const;
     Knots knots() const;
 
     // The first of the moves that have to be a quarter earlier so that this one can be; -1: it cannot.

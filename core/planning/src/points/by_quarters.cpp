@@ -1,6 +1,5 @@
 #include "points/by_quarters.hpp"
 
-#include "motion/descent.hpp"
 #include "points/axis_by_quarters.hpp"
 
 #include <algorithm>
@@ -17,13 +16,7 @@ struct WayByQuarters {
                AxisByQuarters(m.robot.beta(), m.path, &Cell::beta)} {}
     int end() const { return std::max(axes[0].end(), axes[1].end()); }
     Angles sent(int quarter) const { return {axes[0].sent(quarter), axes[1].sent(quarter)}; }
-    // The cell that is nearest between two quarters.
-    Cell nearest(int from, int to) const {
-        const auto line = [=](const AxisByQuarters &axis) {
-            return axis.nearest(axis.raw(from) + 0.5 * (axis.raw(to) - axis.raw(from)));
-        };
-        return {line(axes[0]), line(axes[1])};
-    }
+    Cell nearest(int quarter) const { return {axes[0].nearest(quarter), axes[1].nearest(quarter)}; }
 
     AxisByQuarters axes[2];
 };
@@ -90,9 +83,6 @@ class Pulling {
     bool pull_around(PathIndex i, int step);
     void touch(PathIndex i);
     void sweep_anew(PathIndex i, int first_quarter, int last_quarter);
-    SweptArm swept_in_quarter(PathIndex i, int quarter);
-    bool clear(PathIndex i, int step);
-    bool meet(PathIndex i, PathIndex j, int step);
     bool part(PathIndex i);
     void end_attempt(bool keep);
 
@@ -199,7 +189,7 @@ void Pulling::sweep_anew(PathIndex i, int first_quarter, int last_quarter) {
     const int first = std::max(0, (first_quarter - 1) / quarters - 1);
     const int last = std::min(paths_.steps(), (last_quarter + 2) / quarters);
     for (int step = first; step <= last; ++step) {
-        const Cell near = way.nearest(middle_of(step), middle_of(step));
+        const Cell near = way.nearest(middle_of(step));
         Angles at[quarters + 1];
         for (int k = 0; k <= quarters; ++k) at[k] = way.sent(begin_of(step) + k);
         paths_.sweep_otherwise(i, step, near, at);
@@ -210,43 +200,13 @@ void Pulling::sweep_anew(PathIndex i, int first_quarter, int last_quarter) {
     if (!open_.contains(i)) open_.push_back(i);
 }
 
-// What is kept in hand counts for all of a step in which an arm moves. Now its steps are others than on its
-// path: by quarters it is kept in those in which the arm moves.
-SweptArm Pulling::swept_in_quarter(PathIndex i, int quarter) {
-    const Robot &robot = paths_.at(i).robot;
-    if (paths_.at(i).still) return paths_.at(i).at_start;
-    const WayByQuarters &way = this->way(i);
-    const Cell near = way.nearest(quarter, quarter + 1);
-    const Angles from = way.sent(quarter), to = way.sent(quarter + 1);
-    if (from.alpha_rad == to.alpha_rad && from.beta_rad == to.beta_rad) return robot.resting(near);
-    Angles at[quarters + 1];
-    for (int k = 0; k <= quarters; ++k) at[k] = between(from, to, static_cast<double>(k) / quarters);
-    return robot.swept(near, at);
-}
-
-// Whether it stays clear of the bodies at rest in a step.
-bool Pulling::clear(PathIndex i, int step) {
-    const Robot &robot = paths_.at(i).robot;
-    if (robot.clear(paths_.at(i).swept[step])) return true;
-    for (int k = begin_of(step); k < begin_of(step + 1); ++k)
-        if (!robot.clear(swept_in_quarter(i, k))) return false;
-    return true;
-}
-
-bool Pulling::meet(PathIndex i, PathIndex j, int step) {
-    if (!paths_.meet(i, j, step)) return false;
-    for (int k = begin_of(step); k < begin_of(step + 1); ++k)
-        if (!stay_apart(swept_in_quarter(i, k), swept_in_quarter(j, k), paths_.need_mm())) return true;
-    return false;
-}
-
 // One from all bodies at rest, and from its neighbours, which are pulled where it meets them.
 bool Pulling::part(PathIndex i) {
     for (int step = touched(i).first; step <= touched(i).last; ++step)
-        if (!clear(i, step)) return pull_around(i, step);
+        if (!paths_.clear(i, step)) return pull_around(i, step);
     for (const PathIndex j : paths_.at(i).neighbours)
         for (int step = touched(i).first; step <= touched(i).last; ++step)
-            while (meet(i, j, step)) {
+            while (paths_.meet(i, j, step)) {
                 if (choice_.own_first && pull_around(i, step)) return true;
                 if (!pull_around(j, step)) return pull_around(i, step);
             }
