@@ -119,6 +119,23 @@ bool PathSet::retrace(PathIndex i, int first, const List<SweptArm> &swept) {
     return false;
 }
 
+void PathSet::sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&at)[quarters + 1]) {
+    Member &m = this->at(i);
+    const bool rests = std::all_of(std::begin(at), std::end(at), [&](Angles a) {
+        return a.alpha_rad == at[0].alpha_rad && a.beta_rad == at[0].beta_rad;
+    });
+    m.path[step] = near;
+    m.swept[step] = rests ? m.robot.resting(near) : m.robot.swept(near, at);
+    m.circles[step] = circle_of(m.swept[step]);
+}
+
+bool PathSet::meet(PathIndex i, PathIndex j, int step) const { return meet(at(i), at(j), step); }
+
+bool PathSet::meet(const Member &p, const Member &q, int step) const {
+    return circles_touch(p.circles[step], q.circles[step]) &&
+           !stay_apart(p.swept[step], q.swept[step], need_mm_);
+}
+
 void PathSet::keep_still(PathIndex i) {
     set_path(i, List<Cell>(steps_ + 1, at(i).robot.start()));
     at(i).still = true;
@@ -356,8 +373,7 @@ bool PathSet::circles_touch(const Circle &p, const Circle &q) const {
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
     int count = 0;
     for (int k = 0; k < p.swept.size(); ++k)
-        if (circles_touch(p.circles[k], q.circles[k]) && !stay_apart(p.swept[k], q.swept[k], need_mm_))
-            ++count;
+        if (meet(p, q, k)) ++count;
     return count;
 }
 

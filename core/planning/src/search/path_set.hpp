@@ -90,6 +90,7 @@ class PathSet {
     int size() const { return members_.size(); }
     Places<PathIndex> places() const { return members_.places(); }
     int steps() const { return steps_; }
+    double need_mm() const { return need_mm_; }
 
     void add(Robot robot);
     void find_neighbours();
@@ -109,6 +110,11 @@ class PathSet {
     void set_path(PathIndex i, const List<Cell> &path);
     // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
     bool retrace(PathIndex i, int first, const List<SweptArm> &swept);
+    // In a step it sweeps what it sweeps at these angles at the borders of the quarters, near a cell,
+    // whatever it meets then; its path goes through that cell.
+    void sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&at)[quarters + 1]);
+    // Whether two come too near in a step.
+    bool meet(PathIndex i, PathIndex j, int step) const;
     void keep_still(PathIndex i);
     // From now on it has no path, and is seen so by others: absent or waiting.
     void forget(PathIndex i, Presence presence);
@@ -181,6 +187,7 @@ class PathSet {
     void fit(Member &m) const;
     Circle circle_of(const SweptArm &swept) const;
     bool circles_touch(const Circle &p, const Circle &q) const;
+    bool meet(const Member &p, const Member &q, int step) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;
