@@ -111,8 +111,12 @@ class Plant {
     double deflection_rad(size_t axis) const;
     // B where the gear is, motor rad.
     double backlash_rad(size_t axis) const;
-    // Of the rotor: nothing drives it faster.
-    double speed_limit_rad_s(size_t axis) const;
+    // The most that the output turns for a rad of the motor, anywhere.
+    double output_per_motor(size_t axis) const;
+    // By how much the teeth may seat off the middle, output rad.
+    double seat_limit_rad(size_t axis) const;
+    // |speed| of the rotor, if what moves with it is the rotor alone: it is no faster, rad/s.
+    double motor_speed_rad_s(size_t axis) const;
     // Deflection of the output for a torque there, Eq. 5a.
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / param(axis, &PlantParams::stiffness); }
 
