@@ -238,10 +238,6 @@ double Plant::seat_limit_rad(size_t axis) const {
     return 6.0 * seat_news / (1.0 - seat_memory) * axes_[axis].seat.rms_rad;
 }
 
-double Plant::motor_speed_rad_s(size_t axis) const {
-    return std::abs(lane(axis, &AxisGroup::p_Nms) * lane(axis, &AxisGroup::step_per_p_free)) / h_s_;
-}
-
 void Plant::set_external_torque(size_t axis, double torque_Nm) {
     axes_[axis].torque_Nm = torque_Nm;
     set(axis, &AxisGroup::still, 0);

@@ -36,7 +36,9 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
 // Bounds are worked out for so many ticks; beyond the last a motor goes at its top speed.
 constexpr std::array<uint64_t, 14> bound_ticks = {4,  8,  12, 16, 20, 24,  28,
                                                   32, 40, 48, 64, 96, 128, longest_ticks};
-constexpr uint64_t slice_of_exact_looks = 32; // a pair that would end such a slice is looked at by its poses
+// A pair that would end such a slice is looked at by its poses, where slices are longer than to the next
+// look.
+constexpr uint64_t slice_of_exact_looks = 32;
 constexpr uint32_t never = UINT32_MAX;
 constexpr double most_free_ticks = 1e9; // Near keeps 32 bits of a tick
 constexpr double um_per_mm = 1e3;
@@ -65,8 +67,7 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
                        const std::vector<Give> &gives, double bound_scale)
     : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), scale_(bound_scale),
-      pushed_mm_(arms_.size()), loose_mm_(arms_.size()), levers_mm_(arms_.size()),
-      next_look_(arms_.size(), 0), next_exact_(arms_.size(), 0) {
+      levers_mm_(arms_.size()), next_look_(arms_.size(), 0), next_exact_(arms_.size(), 0) {
     for (const Give &g : gives)
         compliances_.push_back({{g.compliance_rad_per_Nm[0], g.compliance_rad_per_Nm[1]}});
     compliances_.shrink_to_fit();
@@ -97,20 +98,19 @@ void Neighbours::find_reaches() {
     }
 }
 
-// One that is pushed moves as fast as the one that pushes it, and by its own motors.
 bool Neighbours::allow(size_t i, const Give &give) {
     const double beta_mm = std::max(std::abs(body_.from_mm), std::abs(body_.to_mm));
     const double alpha_mm = arms_[i].l_alpha_mm + beta_mm;
     Levers &levers = levers_mm_[i];
     levers.alpha = std::max(levers.alpha, give.output_per_motor[0] * alpha_mm);
     levers.beta = std::max(levers.beta, give.output_per_motor[1] * beta_mm);
-    const double way_mm = give.speed[0].limit_rad_s * levers.alpha + give.speed[1].limit_rad_s * levers.beta;
-    pushed_mm_[i] = std::max(pushed_mm_[i], 2.0 * scale_ * way_mm * tick_s);
-    loose_mm_[i] = std::max(loose_mm_[i], give.loose_rad[0] * alpha_mm + give.loose_rad[1] * beta_mm);
-    bool faster = false;
-    for (const SpeedBound &speed : give.speed) faster |= allow_speed(speed);
-    if (faster) find_reaches();
-    return faster;
+    const double loose_mm = give.loose_rad[0] * alpha_mm + give.loose_rad[1] * beta_mm;
+    bool wider = loose_mm > loose_mm_;
+    loose_mm_ = std::max(loose_mm_, loose_mm);
+    for (const SpeedBound &speed : give.speed)
+        if (allow_speed(speed)) wider = true;
+    if (wider) find_reaches();
+    return wider;
 }
 
 void Neighbours::add_near(size_t number) {
@@ -138,9 +138,8 @@ void Neighbours::find_neighbours() {
 
 size_t Neighbours::bytes() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
-    return held(arms_) + held(obstacles_) + held(compliances_) + held(reaches_) + held(pushed_mm_) +
-           held(loose_mm_) + held(near_) + held(first_near_) + held(levers_mm_) + held(next_look_) +
-           held(next_exact_);
+    return held(arms_) + held(obstacles_) + held(compliances_) + held(reaches_) + held(near_) +
+           held(first_near_) + held(levers_mm_) + held(next_look_) + held(next_exact_);
 }
 
 uint64_t Neighbours::next_due() const {
@@ -199,7 +198,7 @@ double Neighbours::touch(Look &look, const Touched &body) const {
     const double gap_mm = distance_mm - body.apart_mm;
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
         // the same bits from both sides
-        return gap_mm - (body.spring_mm + look.at.poses[look.i].spring_mm) - loose_mm(look.i, body.number);
+        return gap_mm - (body.spring_mm + look.at.poses[look.i].spring_mm) - loose_mm(body.number);
     }
     const Closest places[] = {closest_point(mine.a, body.line), closest_point(mine.b, body.line),
                               turned(closest_point(body.line.a, mine)),
@@ -221,8 +220,8 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
     return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, nullptr};
 }
 
-double Neighbours::loose_mm(size_t i, uint32_t other) const {
-    return loose_mm_[i] + (other < arms_.size() ? loose_mm_[other] : 0.0);
+double Neighbours::loose_mm(uint32_t other) const {
+    return other < arms_.size() ? 2.0 * loose_mm_ : loose_mm_;
 }
 
 // How far apart two are at least. Poses are asked for where that may be nothing at the next sync point.
@@ -237,7 +236,7 @@ double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
 
 void Neighbours::add_mover(Movers &movers, size_t i, const Travel &now) const {
     if (now.speed_mm < 0.0) {
-        movers.pushed_mm += pushed_mm_[i];
+        movers.pushed_mm += pushed_mm(i);
     } else {
         movers.lever_mm += levers_mm_[i].alpha + levers_mm_[i].beta;
         movers.speed_mm += now.speed_mm;
@@ -250,7 +249,7 @@ double Neighbours::bound_mm(size_t i, const Travel &now, uint64_t ticks) const {
     const auto reach =
         std::find_if(reaches_.begin(), reaches_.end(), [ticks](const Reach &r) { return r.ticks >= ticks; });
     if (reach == reaches_.end()) throw std::invalid_argument("bound: 256 ticks at most");
-    return mover.bound_mm(*reach) + loose_mm_[i];
+    return mover.bound_mm(*reach) + loose_mm_;
 }
 
 // For how long they come no further than that.
@@ -272,7 +271,8 @@ void Neighbours::plan_look(const Look &look, Near &near, double apart_mm) const 
     if (near.number < arms_.size()) add_mover(movers, near.number, look.at.travels[near.number]);
     const uint64_t free = free_ticks(movers, apart_mm);
     const bool touching = in_touch(look.now, static_cast<uint32_t>(near.number));
-    const bool close = touching || free < slice_of_exact_looks || apart_mm < near.worth_mm();
+    const uint64_t soon = look.at.ahead == 0 ? sync_ticks : slice_of_exact_looks;
+    const bool close = touching || free < soon || apart_mm < near.worth_mm();
     near.exact = close ? 1 : 0;
     near.next_look = static_cast<uint32_t>(touching ? look.at.tick + 1 : sync_after(look.at.tick, free));
 }

@@ -86,8 +86,8 @@ void Twin::State::travel(size_t group) {
 // Of an arm, a tick, as fast as its motors turn now; see Travel.
 double Twin::State::speed_mm(size_t i) const {
     if (felt[i] != 0) return Travel::pushed;
-    return neighbours.travel_mm(i, plant.motor_speed_rad_s(2 * i) * tick_s,
-                                plant.motor_speed_rad_s(2 * i + 1) * tick_s);
+    return neighbours.travel_mm(i, plant.motor_turn_rad(Plant::place(2 * i)),
+                                plant.motor_turn_rad(Plant::place(2 * i + 1)));
 }
 
 void Twin::State::show_poses() {

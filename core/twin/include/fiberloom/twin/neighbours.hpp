@@ -128,7 +128,7 @@ class Neighbours {
         return levers_mm_[i].alpha * alpha_rad + levers_mm_[i].beta * beta_rad;
     }
     // The farthest that one that is pushed can come from one sync point to the next.
-    double farthest_mm(size_t i) const { return pushed_mm_[i] * static_cast<double>(sync_ticks); }
+    double farthest_mm(size_t i) const { return pushed_mm(i) * static_cast<double>(sync_ticks); }
     // The farthest that a point of arm i can come within so many ticks, a multiple of sync_ticks up to
     // longest_ticks, given how it moves now.
     double bound_mm(size_t i, const Travel &now, uint64_t ticks) const;
@@ -211,6 +211,9 @@ class Neighbours {
     double reach_mm(size_t i) const;
     bool allow_speed(const SpeedBound &speed);
     void find_reaches();
+    // That a point of an arm moves at most in a tick while another pushes it: as fast as that one, and by its
+    // own motors.
+    double pushed_mm(size_t i) const { return 2.0 * limit_rad_ * (levers_mm_[i].alpha + levers_mm_[i].beta); }
     void add_mover(Movers &movers, size_t i, const Travel &now) const;
     uint64_t free_ticks(const Movers &movers, double apart_mm) const;
     void hasten(size_t i, size_t other, uint64_t tick);
@@ -218,7 +221,7 @@ class Neighbours {
     void find_neighbours();
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
-    double loose_mm(size_t i, uint32_t other) const;
+    double loose_mm(uint32_t other) const;
     double touch(Look &look, const Touched &body) const;
     double apart_mm(Look &look, Near &near, double travelled_mm) const;
     void plan_look(const Look &look, Near &near, double apart_mm) const;
@@ -234,9 +237,8 @@ class Neighbours {
     double scale_ = 1.0;                  // of every bound
     // the most that a motor turns in a tick, and the time constant with which any can come to that
     double limit_rad_ = 0.0, decay_ticks_ = 1e9;
-    std::vector<Reach> reaches_;    // after more and more ticks
-    std::vector<double> pushed_mm_; // that a point of an arm moves at most in a tick while it is pushed
-    std::vector<double> loose_mm_;  // by which it may be off what its motors say
+    std::vector<Reach> reaches_; // after more and more ticks
+    double loose_mm_ = 0.0;      // by which a point of any arm may be off what its motors say
     std::vector<Levers> levers_mm_;
     std::vector<Near> near_;           // of all, one after the other
     std::vector<uint32_t> first_near_; // of each, and one more
