@@ -1,7 +1,6 @@
 #include "fiberloom/twin/neighbours.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <stdexcept>
 
@@ -33,9 +32,6 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
     return {before_N.x + share * step_N.x, before_N.y + share * step_N.y};
 }
 
-// Bounds are worked out for so many ticks; beyond the last a motor goes at its top speed.
-constexpr std::array<uint64_t, 14> bound_ticks = {4,  8,  12, 16, 20, 24,  28,
-                                                  32, 40, 48, 64, 96, 128, longest_ticks};
 // A pair that would end such a slice is looked at by its poses, where slices are longer than to the next
 // look.
 constexpr uint64_t slice_of_exact_looks = 32;
@@ -90,11 +86,10 @@ bool Neighbours::allow_speed(const SpeedBound &speed) {
 
 // A motor at w0 turns by (t - T) limit + T w0 at most, T = tau (1 - exp(-t/tau)).
 void Neighbours::find_reaches() {
-    reaches_.clear();
-    for (const uint64_t ticks : bound_ticks) {
-        const auto t = static_cast<double>(ticks);
-        const double coasting = decay_ticks_ * -std::expm1(-t / decay_ticks_);
-        reaches_.push_back({ticks, limit_rad_ * (t - coasting), scale_ * coasting});
+    for (size_t k = 0; k < Reaches::count; ++k) {
+        const double t = Reaches::ticks[k], coasting = decay_ticks_ * -std::expm1(-t / decay_ticks_);
+        reaches_.from_rest_rad[k] = limit_rad_ * (t - coasting);
+        reaches_.coasting_ticks[k] = scale_ * coasting;
     }
 }
 
@@ -138,8 +133,8 @@ void Neighbours::find_neighbours() {
 
 size_t Neighbours::bytes() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
-    return held(arms_) + held(obstacles_) + held(compliances_) + held(reaches_) + held(near_) +
-           held(first_near_) + held(levers_mm_) + held(next_look_) + held(next_exact_);
+    return held(arms_) + held(obstacles_) + held(compliances_) + held(near_) + held(first_near_) +
+           held(levers_mm_) + held(next_look_) + held(next_exact_);
 }
 
 uint64_t Neighbours::next_due() const {
@@ -246,23 +241,21 @@ void Neighbours::add_mover(Movers &movers, size_t i, const Travel &now) const {
 double Neighbours::bound_mm(size_t i, const Travel &now, uint64_t ticks) const {
     Movers mover;
     add_mover(mover, i, now);
-    const auto reach =
-        std::find_if(reaches_.begin(), reaches_.end(), [ticks](const Reach &r) { return r.ticks >= ticks; });
-    if (reach == reaches_.end()) throw std::invalid_argument("bound: 256 ticks at most");
-    return mover.bound_mm(*reach) + loose_mm_;
+    const auto reach = std::find_if(Reaches::ticks.begin(), Reaches::ticks.end(),
+                                    [ticks](double t) { return t >= static_cast<double>(ticks); });
+    if (reach == Reaches::ticks.end()) throw std::invalid_argument("bound: 256 ticks at most");
+    return bound_mm(mover, static_cast<size_t>(reach - Reaches::ticks.begin())) + loose_mm_;
 }
 
-// For how long they come no further than that.
+// For how long they come no further than that: bounds grow.
 uint64_t Neighbours::free_ticks(const Movers &movers, double apart_mm) const {
-    const Reach &last = reaches_.back();
-    const double left_mm = apart_mm - movers.bound_mm(last);
-    if (left_mm >= 0.0) {
-        const double free = left_mm / (limit_rad_ * movers.lever_mm + movers.pushed_mm);
-        return last.ticks + static_cast<uint64_t>(static_cast<int64_t>(std::min(free, most_free_ticks)));
-    }
-    const auto within = [&](const Reach &r) { return movers.bound_mm(r) <= apart_mm; };
-    const auto first = std::partition_point(reaches_.begin(), reaches_.end(), within);
-    return first == reaches_.begin() ? 0 : std::prev(first)->ticks;
+    size_t within = 0;
+    for (size_t k = 0; k < Reaches::count; ++k) within += bound_mm(movers, k) <= apart_mm ? 1 : 0;
+    if (within == 0) return 0;
+    if (within < Reaches::count) return static_cast<uint64_t>(Reaches::ticks[within - 1]);
+    const double left_mm = apart_mm - bound_mm(movers, Reaches::count - 1);
+    const double free = left_mm / (limit_rad_ * movers.lever_mm + movers.pushed_mm);
+    return longest_ticks + static_cast<uint64_t>(static_cast<int64_t>(std::min(free, most_free_ticks)));
 }
 
 void Neighbours::plan_look(const Look &look, Near &near, double apart_mm) const {

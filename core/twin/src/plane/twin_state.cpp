@@ -139,7 +139,7 @@ bool Twin::State::any_awake() const {
 uint64_t Twin::State::slice_ticks() const {
     if (!feel) return lone_ticks;
     const uint64_t to_sync = sync_ticks - now % sync_ticks;
-    if (ahead == 0) return to_sync; // something touches
+    if (any_felt()) return to_sync;
     const uint64_t due = neighbours.next_due();
     return std::clamp(due - std::min(due, now), to_sync, lone_ticks);
 }
@@ -152,10 +152,13 @@ void Twin::State::run_all(Turn what) {
 }
 
 // Who touches whom now; in how many ticks the next two may is known only then. Where none may in a slice of
-// so many ticks nobody looks.
+// so many ticks nobody looks; else pairs that are due a little later are looked at, too.
 void Twin::State::look_around(uint64_t most_ticks) {
-    const bool due = at_sync() && neighbours.next_due() < now + std::min(most_ticks, lone_ticks);
-    if (!any_felt() && !due) return;
+    // where a call of run() ends a slice, the next one as long is to be whole, too
+    const uint64_t whole = std::clamp(2 * most_ticks, sync_ticks, lone_ticks);
+    const bool touching = any_felt(), due = at_sync() && neighbours.next_due() < now + whole;
+    if (!touching && !due) return;
+    ahead = touching ? 0 : whole - sync_ticks;
     if (at_sync()) {
         run_all(Turn::shows);
         show_poses();
@@ -165,7 +168,6 @@ void Twin::State::look_around(uint64_t most_ticks) {
         for (uint32_t left = std::exchange(groups[group].disturbed, 0); left != 0; left &= left - 1)
             neighbours.disturb(rows_of(group).begin + static_cast<size_t>(std::countr_zero(left)),
                                now - now % sync_ticks + sync_ticks);
-    ahead = any_felt() ? 0 : ahead_ticks;
 }
 
 void Twin::State::run_slice(uint64_t most_ticks) {

@@ -12,8 +12,6 @@
 
 namespace fl::twin {
 
-inline constexpr uint64_t ahead_ticks =
-    28; // pairs that are due so soon are looked at together before a slice
 inline constexpr uint16_t no_index = UINT16_MAX;
 
 // How the arms of positioner i give way and how they can move. load_Nm: between any two torques of its loads.
@@ -94,7 +92,7 @@ struct Twin::State {
     bool tick_by_tick = false;    // the groups that run are those whose arms touch
     uint64_t slice = 0;           // ticks of the slice that runs
     uint64_t slices = 0;          // so far
-    uint64_t ahead = ahead_ticks; // of the next slice, see Neighbours::Moment
+    uint64_t ahead = 0;           // of this look, see Neighbours::Moment
     std::vector<size_t> turns;    // groups of the batch that runs
     std::vector<size_t> closely;  // and those that are left, whose arms touch: they run tick by tick
     std::vector<uint8_t> felt;    // by positioner: it touches something, or has just done so

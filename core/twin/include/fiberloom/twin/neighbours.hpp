@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -176,19 +177,23 @@ class Neighbours {
         double worth_mm() const { return worth / worth_per_mm; }
     };
     static_assert(sizeof(Near) == 12);
-    // How far motors can have turned after some ticks: from rest, and more by what a speed adds of itself.
-    struct Reach {
-        uint64_t ticks = 0;
-        double from_rest_rad = 0.0, coasting_ticks = 0.0;
+    // How far motors can have turned after more and more ticks: from rest, and more by what a speed adds of
+    // itself. Arrays, so that all of them are compared at once.
+    struct Reaches {
+        static constexpr size_t count = 16;
+        using Row = std::array<double, count>;
+        static constexpr Row ticks = {4,  8,  12, 16, 20, 24,  28,  32,
+                                      40, 48, 64, 80, 96, 128, 192, longest_ticks};
+        Row from_rest_rad{}, coasting_ticks{};
     };
     // Of one arm or two together, what makes a bound of it.
     struct Movers {
         double lever_mm = 0.0, speed_mm = 0.0, pushed_mm = 0.0;
-        double bound_mm(const Reach &r) const {
-            return r.from_rest_rad * lever_mm + r.coasting_ticks * speed_mm +
-                   static_cast<double>(r.ticks) * pushed_mm;
-        }
     };
+    double bound_mm(const Movers &m, size_t k) const {
+        return reaches_.from_rest_rad[k] * m.lever_mm + reaches_.coasting_ticks[k] * m.speed_mm +
+               Reaches::ticks[k] * m.pushed_mm;
+    }
     // Those of positioner i.
     std::span<Near> near(size_t i) {
         return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};
@@ -237,8 +242,8 @@ class Neighbours {
     double scale_ = 1.0;                  // of every bound
     // the most that a motor turns in a tick, and the time constant with which any can come to that
     double limit_rad_ = 0.0, decay_ticks_ = 1e9;
-    std::vector<Reach> reaches_; // after more and more ticks
-    double loose_mm_ = 0.0;      // by which a point of any arm may be off what its motors say
+    Reaches reaches_;
+    double loose_mm_ = 0.0; // by which a point of any arm may be off what its motors say
     std::vector<Levers> levers_mm_;
     std::vector<Near> near_;           // of all, one after the other
     std::vector<uint32_t> first_near_; // of each, and one more
