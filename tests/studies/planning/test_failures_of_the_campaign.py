@@ -160,6 +160,12 @@ def test_knots_that_grow_until_all_others_fit_in(seed, buffer_mm, refused, most)
     check_whole_pair(seed, buffer_mm, refused, most)
 
 
+# With waits of whole steps: 1.302 and 1.586.
+@pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(309, 2.0, 1.3), (850, 3.0, 1.5)])
+def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most):
+    check_whole_pair(seed, buffer_mm, set(), most)
+
+
 # On grids that were finer everywhere: 2.206, 1.874, 1.612 and 1.593. Alone 1131 and 1058 took as long.
 @pytest.mark.parametrize(("seed", "around"), [(991, 1131), (697, 1058), (49, 1131), (46, 1058)])
 def test_a_grid_is_finer_only_where_the_way_is_narrow(seed, around):
