@@ -17,9 +17,9 @@ namespace {
 constexpr int give_up_rounds = 40;
 constexpr int refining_rounds = 4;   // the first ones, in which knots get finer grids
 constexpr double effort_again = 0.4; // of the first round: what resists that seldom comes undone
-// So often the knot of a pair that resists begins anew in vain, in each round: once with what is kept in
-// hand, which may be all that bars its way. In those with finer grids it takes long and was of no use.
-constexpr int begins_anew[] = {1, 3};
+// So often the knot of a pair that resists grows and begins anew in vain, in each round. In those with finer
+// grids it takes long and was of no use.
+constexpr int begins_anew[] = {1, 1};
 
 constexpr double late_return = 1.3; // of the steps that the longest path needs
 

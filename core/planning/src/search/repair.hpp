@@ -88,23 +88,35 @@ class Repair {
     bool begin_anew(List<PathIndex> knot, int most_pairs, std::int64_t most_work);
     bool part(int most);
     bool part_anew();
+    bool part_by_growing();
     PathIndex last_changed(int step) const;
     bool squeeze_changed(int step);
     bool may_untie(int behind) const;
     bool grow(PathIndex last, int far);
     bool untie(PathIndex last, int wanted_steps, bool alone);
     bool begin_among_all(PathIndex last, int wanted_steps);
-    bool grow_knot(PathIndex last, int wanted_steps);
+    // What a knot that grows shall come to.
+    struct Growth {
+        List<PathIndex> first;
+        int step = 0;           // before which it shall end
+        int wanted_steps = 0;   // its deadline at first
+        int most_pairs = 0;     // fewer shall conflict in the end
+        List<PathIndex> before; // conflicted before it grew, and are no matter of it
+    };
+    bool grow_knot(const Growth &wish);
     List<PathIndex> others_around(const List<PathIndex> &knot) const;
     void leave(const List<PathIndex> &others);
     void come_back(const List<PathIndex> &others);
     bool is_there(PathIndex i) const { return paths_.at(i).presence == Presence::path; }
-    List<PathIndex> in_conflict(const List<PathIndex> &knot) const;
+    List<PathIndex> in_conflict(const List<PathIndex> &knot, const List<PathIndex> &but = {}) const;
     PathIndex last_of(const List<PathIndex> &some) const;
     void allow_before(int step);
-    void hurry_knot(const List<PathIndex> &knot, int wanted_steps);
-    bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, int step, int wanted_steps);
-    bool fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, List<PathIndex> &rivals);
+    List<int, PathIndex> deadlines() const;
+    void set_deadlines(const List<int, PathIndex> &deadlines);
+    void hurry_knot(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work);
+    bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
+    bool fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
+                List<PathIndex> &rivals);
     std::int64_t of_usual(std::int64_t of_all) const;
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
