@@ -206,7 +206,7 @@ def test_grids_that_are_finer_at_their_ends_take_knots_apart(seed, buffer_mm, re
 
 
 def test_what_holds_the_slowest_plan_up():
-    """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.44 of its straight way.
+    """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.43 of its straight way.
     200 is in a pocket beside it, 689 and 1155 cross it.
     """
     array = array_at(2.0)
@@ -221,5 +221,5 @@ def test_what_holds_the_slowest_plan_up():
         return made.duration_s / bound_s(plane, *ends_deg, refused=made.refused)
 
     alone, among = over_the_bound([501]), over_the_bound([200, 501, 689, 1155])
-    assert alone == pytest.approx(1.437, abs=0.001)
+    assert alone == pytest.approx(1.427, abs=0.001)
     assert 1.6 < among < 1.72
