@@ -11,14 +11,21 @@ namespace {
 // What one beginning takes at most: repairs, work as Repair::work counts it, nodes of joint searches.
 constexpr int repairs_of_a_knot = 300, joint_nodes_of_a_knot = 20000;
 constexpr std::int64_t work_of_a_knot = 700000;
-constexpr int repairs_of_a_squeeze = 25;
-constexpr int most_failures = 2; // of squeezes one after the other, before this order of the arms is given up
 // A pair that resists begins anew after a part of the repairs that are otherwise made in vain.
 constexpr int share_before_anew = 3;
-// A knot that grows: how many it may be, how many join it at once, repairs and work for one beginning, for
-// all others to come back, and for the knot to the end.
-constexpr int most_of_a_knot = 12, join_at_once = 2, repairs_of_a_return = 40, repairs_alone = 12;
-constexpr std::int64_t work_of_a_beginning = 300000, work_of_a_return = 40000, work_of_growing = 800000;
+// A knot that grows: how many it may be, how many join it at once, and work for it to the end.
+constexpr int most_of_a_knot = 12, join_at_once = 2;
+constexpr std::int64_t work_of_growing = 800000;
+// Of it alone: how often it tries from the paths that they have, repairs and work for that, work where it
+// begins anew, and to the end of its hurry; repairs of each attempt to be earlier, and how many of these may
+// be in vain.
+constexpr int times_from_here = 3, repairs_in_time = 60, repairs_in_the_end = 40, repairs_alone = 12,
+              most_failures = 2;
+constexpr std::int64_t work_in_time = 200000, work_of_a_beginning = 300000, work_alone = 400000;
+// For all others to come back: how often those go round that are in the way, beyond how many pairs more are
+// of no use, repairs and work.
+constexpr int times_round = 2, most_pairs_of_a_return = 3, repairs_of_a_return = 40;
+constexpr std::int64_t work_of_a_return = 80000;
 
 } // namespace
 
@@ -82,25 +89,6 @@ bool Repair::part_anew() {
     return done;
 }
 
-// The last of those that have changed, if it arrives at a step or later.
-PathIndex Repair::last_changed(int step) const {
-    PathIndex last;
-    for (const PathIndex i : paths_.changed())
-        if (paths_.arrival(i) >= (last == PathIndex() ? step : paths_.arrival(last) + 1)) last = i;
-    return last;
-}
-
-// Whether those that have changed come to arrive before a step, one after the other.
-bool Repair::squeeze_changed(int step) {
-    for (int failed = 0; failed <= most_failures;) {
-        const PathIndex last = last_changed(step);
-        if (last == PathIndex()) return true;
-        const int deadline = failed == 0 ? step - 1 : (step - 1 + paths_.arrival(last)) / 2;
-        failed = squeeze(last, deadline, repairs_of_a_squeeze) ? 0 : failed + 1;
-    }
-    return false;
-}
-
 // All others that move and that the knot can meet.
 List<PathIndex> Repair::others_around(const List<PathIndex> &knot) const {
     List<PathIndex> others;
@@ -123,14 +111,19 @@ void Repair::come_back(const List<PathIndex> &others) {
     for (const PathIndex i : others) paths_.count_conflicts(i);
 }
 
-// Those that conflict and are not of a knot, those with most conflicts first.
+int Repair::steps_in_conflict(PathIndex i) const {
+    int sum = 0;
+    for (const PathConflict &c : paths_.at(i).conflicts) sum += c.steps;
+    return sum;
+}
+
+// Those that conflict and are not of a knot, those that do for most steps first.
 List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot) const {
     List<PathIndex> out;
     for (const PathIndex i : paths_.places())
         if (!paths_.at(i).conflicts.empty() && !knot.contains(i)) out.push_back(i);
-    std::stable_sort(out.begin(), out.end(), [&](PathIndex i, PathIndex j) {
-        return paths_.at(i).conflicts.size() > paths_.at(j).conflicts.size();
-    });
+    std::stable_sort(out.begin(), out.end(),
+                     [&](PathIndex i, PathIndex j) { return steps_in_conflict(i) > steps_in_conflict(j); });
     return out;
 }
 
@@ -148,54 +141,116 @@ void Repair::allow_before(int step) {
     }
 }
 
-// A knot, all others absent: by halves, until that was in vain a few times.
-void Repair::hurry_knot(const List<PathIndex> &knot, int wanted_steps) {
-    for (int low = wanted_steps, failed = 0; failed <= most_failures;) {
+// A knot, all others absent: those that are late look for paths before a step, then repairs. Whether none
+// conflict.
+bool Repair::part_in_time(const List<PathIndex> &knot, int step, int repairs) {
+    for (const PathIndex i : knot) {
+        paths_.at(i).deadline = step - 1;
+        paths_.at(i).tries = paths_.at(i).joint_in_vain = 0;
+    }
+    for (const PathIndex i : knot) {
+        if (paths_.arrival(i) < step) continue;
+        ++statistics_.searches;
+        if (!paths_.seek(i, {}, any_cost, {}, search_)) return false;
+        paths_.count_conflicts(i);
+    }
+    most_work_ = work() + work_in_time;
+    const bool done = rounds(repairs);
+    most_work_ = unlimited;
+    return done;
+}
+
+// A knot, all others absent: some of it begin anew, with plenty of time. Whether none conflict.
+bool Repair::begin_alone(const List<PathIndex> &knot, const List<PathIndex> &some, int wanted_steps) {
+    for (const PathIndex i : knot) paths_.at(i).deadline = wanted_steps;
+    last_steps_ = most_steps_;
+    const bool apart = begin_anew(some, 0, work_of_a_beginning);
+    last_steps_ = 0;
+    return apart;
+}
+
+// A knot, all others absent: by halves, until that was in vain a few times; then by what is left to a step.
+// Whether all end before it.
+bool Repair::hurry_knot(const List<PathIndex> &knot, int step, int wanted_steps, std::int64_t most_work) {
+    for (int low = wanted_steps, failed = 0; failed <= most_failures && work() < most_work;) {
         const PathIndex last = last_of(knot);
         const int arrival = paths_.arrival(last);
-        if (arrival <= low) return;
+        if (arrival <= low) break;
         const int deadline = (low + arrival) / 2;
         if (squeeze(last, deadline, repairs_alone)) continue;
         low = deadline + 1;
         ++failed;
     }
+    if (paths_.arrival(last_of(knot)) < step) return true;
+    paths_.note_changes();
+    const bool done = part_in_time(knot, step, repairs_in_the_end);
+    paths_.end_changes(done);
+    return done;
 }
 
-// A knot, all others absent: whether its paths do not conflict, and all end before a step. Those that have
-// joined it last begin anew; where that fails all of it does.
+// A knot, all others absent: whether its paths do not conflict, and all end before a step. It tries that a
+// few times from the paths that they have, which is soon seen; then those that have joined it last, or all,
+// begin anew.
 bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, int step,
                         int wanted_steps) {
-    for (const List<PathIndex> *some : {&joined, &knot}) {
+    const int from_here = knot.size() == 1 ? 0 : times_from_here;
+    for (int k = 0; k <= from_here && (k == 0 || !enough()); ++k) {
+        const std::int64_t most_work = work() + work_alone;
         paths_.note_changes();
-        for (const PathIndex i : knot) paths_.at(i).deadline = wanted_steps;
-        last_steps_ = most_steps_;
-        const bool apart = begin_anew(*some, 0, work_of_a_beginning);
-        last_steps_ = 0;
-        if (apart) hurry_knot(knot, wanted_steps);
-        const bool done = apart && paths_.arrival(last_of(knot)) < step;
+        const bool apart = k < from_here
+                               ? part_in_time(knot, step, repairs_in_time)
+                               : begin_alone(knot, random_.chance(50) ? joined : knot, wanted_steps);
+        const bool done = apart && hurry_knot(knot, step, wanted_steps, most_work);
         paths_.end_changes(done);
         if (done) return true;
-        if (joined.size() == knot.size() || enough()) return false;
     }
     return false;
 }
 
-// All others come back, and go round the knot, or it round them: whether none conflict then. If some do all
-// is as before; rivals: those that conflict and are not of the knot.
-bool Repair::fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, List<PathIndex> &rivals) {
+// Those that conflict and are not of a knot look for other paths, one after the other.
+void Repair::go_round(const List<PathIndex> &knot) {
+    for (int k = 0; k < times_round; ++k)
+        for (const PathIndex i : in_conflict(knot)) {
+            if (paths_.at(i).still) continue;
+            ++statistics_.searches;
+            if (paths_.seek(i, {}, any_cost, {}, search_)) paths_.count_conflicts(i);
+        }
+}
+
+// Whether none conflict once those in the way have gone round, and what still meets is repaired.
+bool Repair::repair_return(const List<PathIndex> &knot) {
+    go_round(knot);
+    if (paths_.conflicts() > most_pairs_of_a_return) return false;
+    most_work_ = work() + work_of_a_return;
+    const bool done = rounds(repairs_of_a_return);
+    most_work_ = unlimited;
+    return done;
+}
+
+// All others come back, and go round the knot, or it round them, all before a step: whether none conflict
+// then. If some do all is as before; rivals: those that conflict and are not of the knot.
+bool Repair::fit_in(int step, const List<PathIndex> &knot, const List<PathIndex> &others,
+                    List<PathIndex> &rivals) {
+    allow_before(step);
     paths_.note_changes();
     come_back(others);
     rivals = in_conflict(knot);
     bool done = rivals.empty();
     if (!done && knot.size() > 1) { // one alone has been tried
-        most_work_ = work() + work_of_a_return;
-        done = rounds(repairs_of_a_return);
-        most_work_ = unlimited;
+        done = repair_return(knot);
         if (const List<PathIndex> left = in_conflict(knot); !left.empty()) rivals = left;
     }
     paths_.end_changes(done);
     if (!done) leave(others);
     return done;
+}
+
+// The same half-way to what the knot takes alone, else before the last one arrives now.
+bool Repair::fit_in_soon(int best, int wanted_steps, const List<PathIndex> &knot,
+                         const List<PathIndex> &others, List<PathIndex> &rivals) {
+    const int soon = (std::max(paths_.arrival(last_of(knot)), wanted_steps) + best) / 2 + 1;
+    if (knot.size() > 1 && soon < best && fit_in(soon, knot, others, rivals)) return true;
+    return fit_in(best, knot, others, rivals);
 }
 
 // The last one alone, then with those that it meets and past which it finds no way, and so on, until all
@@ -211,40 +266,26 @@ bool Repair::grow_knot(PathIndex last, int wanted_steps) {
         const List<PathIndex> others = others_around(knot);
         leave(others);
         if (knot.size() > most_of_a_knot || !part_alone(knot, joined, best, wanted_steps)) break;
-        allow_before(best);
         List<PathIndex> rivals;
-        done = fit_in(knot, others, rivals);
+        done = fit_in_soon(best, wanted_steps, knot, others, rivals);
         joined.clear();
         for (int k = 0; k < std::min(rivals.size(), join_at_once); ++k) joined.push_back(rivals[k]);
     }
     return done;
 }
 
-// The last one and its neighbours from nothing, with plenty of time, as when all began; then they hurry.
-bool Repair::begin_among_all(PathIndex last, int wanted_steps) {
-    const int best = paths_.arrival(last);
-    const List<PathIndex> knot = knot_of(last);
-    for (const PathIndex i : knot) paths_.at(i).deadline = wanted_steps;
-    last_steps_ = most_steps_;
-    const bool apart = begin_anew(knot, 0, work_of_a_knot);
-    last_steps_ = 0;
-    return apart && squeeze_changed(best);
-}
-
-// The knot of the last one from nothing, alone at first, or among all. It is kept if all arrive earlier than
-// the last one did, else all is as before.
-bool Repair::untie(PathIndex last, int wanted_steps, bool alone) {
+// The knot of the last one from nothing, alone at first. It is kept if all arrive earlier than the last one
+// did, else all is as before.
+bool Repair::grow_alone(PathIndex last, int wanted_steps) {
     if (paths_.heeds_lateness()) return false;
     const int best = paths_.arrival(last), steps = paths_.steps();
     List<int, PathIndex> deadlines;
     for (const PathIndex i : paths_.places()) deadlines.push_back(paths_.at(i).deadline);
     allow_before(best);
     paths_.note_changes();
-    pairs_by_flood_ = true;
-    alone_ = alone;
-    const bool done = alone ? grow_knot(last, wanted_steps) : begin_among_all(last, wanted_steps);
+    alone_ = true;
+    const bool done = grow_knot(last, wanted_steps);
     alone_ = false;
-    pairs_by_flood_ = false;
     paths_.end_changes(done);
     if (!done)
         for (const PathIndex i : paths_.places()) paths_.at(i).deadline = deadlines[i];
