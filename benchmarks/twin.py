@@ -2,12 +2,14 @@
 
     python benchmarks/twin.py [--axes 1000] [--seconds 8] [--scale 500 20000] [--out build/bench/twin.json]
 
-A move of 8 s in slices of half a second: the median slice and the slowest one, for what costs more the longer
-a motor cruises is no noise. No arms touch, but in the case that says so. CPU time, because other work on the
-machine disturbs it less than wall time. The plant takes even steps of 50 us, but in the case of adaptive
-ones, which a twin takes unless told otherwise. The real-time factor is simulated seconds over CPU seconds on
-one core; with two threads it is over wall seconds, and means something on an idle machine only; "at best" is
-that of threads that share the CPU time evenly and always have a core of their own.
+A move of 8 s in parts of half a second: the median part and the slowest one, for what costs more the longer
+a motor cruises is no noise. No arms touch, but in the case that says so. In a planned field every positioner
+goes its own way from one random place to another, close to its neighbours, and many wait for a while. Slice:
+for how many ticks of 0.5 ms groups of positioners run without waiting for each other, on average. CPU time,
+because other work on the machine disturbs it less than wall time. The plant takes even steps of 50 us, but in
+cases of adaptive ones, which a twin takes unless told otherwise. The real-time factor is simulated seconds
+over CPU seconds on one core; with two threads it is over wall seconds, and means something on an idle machine
+only; "at best" is that of threads that share the CPU time evenly and always have a core of their own.
 
 Then the same for more axes, in twins of 4000 at most (a bus has 2047 addresses), with the exponent by which
 the cost grows; and two peers in the same run, plant only: plain C by gcc, and numba where it is installed
@@ -25,13 +27,16 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from peers.issue import bound_ns, clocks_GHz
 
 from fiberloom._core import twin as core
 from fiberloom.bus.identifier import encode
+from fiberloom.bus.trajectory import WireTrajectory
 from fiberloom.instruments import generate, load_instrument
+from fiberloom.planning import plan, random_configuration
 from fiberloom.twin import Twin, draw_units
 from fiberloom.twin.twin import ADAPTIVE
 from fiberloom.twin.units import plain
@@ -46,12 +51,21 @@ MOST_AXES = 4000
 """Of one twin: positioners of a bus have numbers up to 2047."""
 PAPER_POSITIONERS = 100_000
 """Reckoned, not run."""
-SLICE_S = 0.5
+PART_S = 0.5
 NEEDS = "cannot run here: C needs gcc, numba pip install 'fiberloom[peers]'"
 EVEN = 10
 """Substeps of the plant in a tick: 50 us, whatever an axis does."""
 APART, TOUCHING = (20.0, 178.0), (20.0, 60.0)
 """Where all arms begin, deg: folded, none touches; and 28 overlap."""
+
+
+class Run(NamedTuple):
+    """What a case took."""
+
+    parts_s: np.ndarray
+    """(parts, 2): CPU s and wall s of each."""
+    slice_ticks: float | None = None
+    """Mean length of the slices in which groups of positioners run alone; None where there is no twin."""
 
 
 def timed(action, repeats):
@@ -86,12 +100,39 @@ def by_trajectory(twin, plane):
     twin.send([(encode(0, START, 0), b"")])
 
 
+def planned_field(plane, units):
+    """Where arms begin, and a move that sends them along a plan to other random places, by the true gears."""
+    start_deg = random_configuration(plane, seed=5)
+    planned = plan(plane, start_deg, random_configuration(plane, seed=6), seed=1)
+
+    def move(twin, plane):
+        for robot in planned.robots:
+            twin.send(upload_of(robot, units, int(plane.index_of(robot.positioner_id))))
+        twin.run(0.1)
+        twin.send([(encode(0, START, 0), b"")])
+
+    return start_deg, move
+
+
+def upload_of(robot, units, row):
+    """Frames of a way of the plan."""
+    wire_deg = [units.transmission(row, axis, robot.points_deg[:, axis])[0] for axis in (0, 1)]
+    way = WireTrajectory.from_deg(robot.time_s, *wire_deg, (robot.corners(0), robot.corners(1)))
+    number = robot.positioner_id
+    yield encode(number, NEW, 1), struct.pack("<II", len(way.alpha), len(way.beta))
+    for counts, ticks in np.concatenate([way.alpha, way.beta]).tolist():
+        yield encode(number, POINT, 1), struct.pack("<iI", counts, ticks)
+    yield encode(number, END, 1), b""
+
+
 def moving(plane, units, seconds, start_deg=APART, move=by_goto, substeps=EVEN, **options):
-    """Plant, firmware and, if asked for, neighbours: (CPU s, wall s) of each slice."""
+    """Plant, firmware and, if asked for, neighbours."""
     twin = Twin(plane, units, seed=1, start_deg=start_deg, substeps=substeps, **options)
     move(twin, plane)
     twin.run(0.4)
-    return timed(lambda: twin.run(SLICE_S), round(seconds / SLICE_S))
+    ticks, slices = twin._core.tick, twin._core.slices
+    parts_s = timed(lambda: twin.run(PART_S), round(seconds / PART_S))
+    return Run(parts_s, (twin._core.tick - ticks) / (twin._core.slices - slices))
 
 
 def plant_only(units, seconds, kernel):
@@ -105,28 +146,29 @@ def plant_only(units, seconds, kernel):
     for axis in range(n):
         theta, _, gear, _ = plant.state(axis)
         plant.set_state(axis, theta, 209.0 * params["inertia_motor"][axis], gear)
-    return timed(lambda: plant.advance(round(SLICE_S / core.TICK_S)), round(seconds / SLICE_S))
+    return Run(timed(lambda: plant.advance(round(PART_S / core.TICK_S)), round(seconds / PART_S)))
 
 
 def idle(plane, units, seconds):
     """Everybody at rest."""
     twin = Twin(plane, units, seed=1, threads=1)
     twin.run(0.1)
-    return timed(lambda: twin.run(SLICE_S), round(seconds / SLICE_S))
+    return Run(timed(lambda: twin.run(PART_S), round(seconds / PART_S)))
 
 
-def row(name, slices, axes, threads=1):
+def row(name, run, axes, threads=1):
     """One line of the table."""
-    (cpu, wall), slowest = np.median(slices, axis=0), slices[:, 0].max()
-    ns = 1e9 * core.TICK_S / SLICE_S / axes
+    (cpu, wall), slowest = np.median(run.parts_s, axis=0), run.parts_s[:, 0].max()
+    ns = 1e9 * core.TICK_S / PART_S / axes
     return {
         "case": name,
         "threads": threads,
-        "cpu_s_per_axis_s": cpu / SLICE_S / axes,
+        "cpu_s_per_axis_s": cpu / PART_S / axes,
         "ns_per_axis_tick": cpu * ns,
         "slowest_ns_per_axis_tick": slowest * ns,
-        "real_time_factor_1000_axes": axes / 1000.0 * SLICE_S / (cpu if threads == 1 else wall),
-        "at_best_1000_axes": axes / 1000.0 * SLICE_S / cpu * threads,
+        "real_time_factor_1000_axes": axes / 1000.0 * PART_S / (cpu if threads == 1 else wall),
+        "at_best_1000_axes": axes / 1000.0 * PART_S / cpu * threads,
+        "ticks_per_slice": run.slice_ticks,
     }
 
 
@@ -145,6 +187,11 @@ def measure(axes, seconds):
         for threads in (1, 2):
             all_of_it = moving(plane, units, seconds, threads=threads, neighbours=True, substeps=steps)
             rows.append(row(name, all_of_it, axes, threads))
+    start_deg, along_plan = planned_field(plane, units)
+    for threads in (1, 2):
+        options = {"threads": threads, "neighbours": True, "substeps": ADAPTIVE}
+        planned = moving(plane, units, seconds, start_deg, along_plan, **options)
+        rows.append(row("adaptive, in a planned field", planned, axes, threads))
     close = moving(plane, units, seconds, TOUCHING, threads=1, neighbours=True)
     rows.append(row("with neighbours, 28 contacts", close, axes))
     rows.append(row("everybody at rest", idle(plane, units, seconds), axes))
@@ -160,13 +207,13 @@ def scale(numbers, seconds):
         for part in parts:
             plane = generate(load_instrument("sdssv"), seed=1, n_positioners=part // 2)
             units = draw_units(plane, seed=1)
-            cpu_s += np.median(moving(plane, units, seconds, threads=1), axis=0)[0]
+            cpu_s += np.median(moving(plane, units, seconds, threads=1).parts_s, axis=0)[0]
         out.append(
             {
                 "axes": axes,
                 "twins": len(parts),
-                "ns_per_axis_tick": 1e9 * core.TICK_S / SLICE_S / axes * cpu_s,
-                "real_time_factor": SLICE_S / cpu_s,
+                "ns_per_axis_tick": 1e9 * core.TICK_S / PART_S / axes * cpu_s,
+                "real_time_factor": PART_S / cpu_s,
                 "bytes_per_axis": bytes_per_axis(plane, units),
             }
         )
@@ -246,11 +293,20 @@ def firmware_cost_ns(rows):
 def show(report):
     """The table on the terminal."""
     print(f"{report['axes']} axes, {report['machine']}, load {report['load']:.1f}")
-    print(f"{'':34s}{'threads':>8s}{'ns/axis-tick':>14s}{'slowest':>9s}{'x real time':>13s}{'at best':>9s}")
+    names = (
+        ("threads", 8),
+        ("ns/axis-tick", 14),
+        ("slowest", 9),
+        ("x real time", 13),
+        ("at best", 9),
+        ("slice", 7),
+    )
+    print(f"{'':34s}" + "".join(f"{name:>{width}s}" for name, width in names))
     for r in report["rows"]:
         factor, at_best = r["real_time_factor_1000_axes"], r["at_best_1000_axes"]
         ns, slowest = r["ns_per_axis_tick"], r["slowest_ns_per_axis_tick"]
-        print(f"{r['case']:34s}{r['threads']:8d}{ns:14.1f}{slowest:9.1f}{factor:13.1f}{at_best:9.1f}")
+        ticks = "" if r["ticks_per_slice"] is None else f"{r['ticks_per_slice']:7.1f}"
+        print(f"{r['case']:34s}{r['threads']:8d}{ns:14.1f}{slowest:9.1f}{factor:13.1f}{at_best:9.1f}{ticks}")
     print(f"of which the firmware's tick: {report['firmware_ns_per_axis_tick']:.0f} ns an axis")
     print("more axes, with neighbours, one thread:")
     for r in report["scale"]:

@@ -198,6 +198,7 @@ Dict dict_of(const Statistics &s) {
     d["first_conflicts"] = s.first_conflicts;
     d["bound_steps"] = s.bound_steps;
     d["steps"] = s.steps;
+    d["quarters_earlier"] = s.quarters_earlier;
     d["step_s"] = s.step_s;
     d["cut_short"] = s.cut_short;
     if (s.late) d["not_late"] = s.not_late;

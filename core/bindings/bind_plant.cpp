@@ -157,6 +157,14 @@ void bind_test_plant(nb::module_ &m) {
         .def(
             "backlash_rad", [](TestPlant &p, size_t axis) { return p.plant.backlash_rad(known(p, axis)); },
             nb::arg("axis"), "Where the gear is, motor rad.")
+        .def(
+            "speed_bound",
+            [](TestPlant &p, size_t axis) {
+                const SpeedBound bound = speed_bound(p.plant.params(known(p, axis)));
+                return std::pair(bound.limit_rad_s, bound.time_constant_s);
+            },
+            nb::arg("axis"),
+            "Of the rotor: limit in rad/s that none exceeds, time constant of the way there in s.")
         .def_prop_ro("kernel", [](TestPlant &p) { return p.plant.kernel_name(); });
 }
 
@@ -185,5 +193,12 @@ void bind_plant(nb::module_ &m) {
     m.attr("NODES_PER_TURN") = nodes_per_turn;
     m.def("transmission", &evaluate_transmission, nb::arg("transmission"), nb::arg("gear_ratio"),
           nb::arg("output_rad"), "Gear angle T- and backlash B, motor rad, at output angles.");
+    m.def(
+        "output_per_motor",
+        [](const Input1<double> &row, double gear_ratio) {
+            return output_per_motor(Gear(transmission_of(row)), gear_ratio);
+        },
+        nb::arg("transmission"), nb::arg("gear_ratio"),
+        "The most that the output turns for a rad of the motor.");
     bind_test_plant(m);
 }

@@ -191,6 +191,13 @@ void twin_params(Twin &twin, size_t index, int axis, const Input1<double> &row) 
     twin.set_params(index, axis, params_of(row));
 }
 
+Output<double, -1> twin_bounds(Twin &twin, uint64_t ticks) {
+    const std::vector<double> bounds = twin.bounds_mm(ticks);
+    auto out = new_array<double, -1>({bounds.size()});
+    std::copy(bounds.begin(), bounds.end(), out.data());
+    return out;
+}
+
 double twin_backlash(Twin &twin, size_t index, int axis) {
     check_axis(axis);
     if (index >= twin.positioner_count()) throw nb::index_error("no such positioner");
@@ -218,7 +225,10 @@ void bind_setup(nb::module_ &m) {
             "of the plant in a tick: of any axis, and of one that pushes its gear all the time; one number "
             "for "
             "both")
-        .def_rw("kernel", &TwinSetup::kernel, "one of KERNELS, or empty for the best");
+        .def_rw("kernel", &TwinSetup::kernel, "one of KERNELS, or empty for the best")
+        .def_rw("bound_scale", &TwinSetup::bound_scale,
+                "of how far arms may come until they are looked at again: above 1 shorter slices, the same "
+                "bytes");
 }
 
 void bind_readings(nb::class_<Twin> &twin) {
@@ -239,6 +249,10 @@ void bind_readings(nb::class_<Twin> &twin) {
         .def_prop_ro("ticks_run", &Twin::ticks_run)
         .def_prop_ro("single_ticks", &Twin::single_ticks)
         .def_prop_ro("ticks_skipped", &Twin::ticks_skipped)
+        .def_prop_ro("slices", &Twin::slices, "Spans of time in which threads did not wait for each other.")
+        .def("bounds_mm", &twin_bounds, nb::arg("ticks"),
+             "The farthest (N,) that arms can come within 4 to 256 ticks from now, unless one begins to push "
+             "another.")
         .def_prop_ro("kernel", [](Twin &t) { return std::string(t.kernel_name()); });
 }
 

@@ -1,6 +1,7 @@
 #include "fiberloom/planning.hpp"
 #include "goals/goal_feasibility.hpp"
 #include "motion/motion.hpp"
+#include "points/by_quarters.hpp"
 #include "points/fewer_points.hpp"
 #include "search/repair.hpp"
 
@@ -16,9 +17,9 @@ namespace {
 constexpr int give_up_rounds = 40;
 constexpr int refining_rounds = 4;   // the first ones, in which knots get finer grids
 constexpr double effort_again = 0.4; // of the first round: what resists that seldom comes undone
-// So often the knot of a pair that resists begins anew in vain, in each round: once with what is kept in
-// hand, which may be all that bars its way. In those with finer grids it takes long and was of no use.
-constexpr int begins_anew[] = {1, 3};
+// So often the knot of a pair that resists grows and begins anew in vain, in each round. In those with finer
+// grids it takes long and was of no use.
+constexpr int begins_anew[] = {1, 1};
 
 constexpr double late_return = 1.3; // of the steps that the longest path needs
 
@@ -28,13 +29,14 @@ int last_arrival(const PathSet &paths) {
     return last;
 }
 
-LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int steps) {
-    return {axis.height_rad, turn_begins_s(clock, steps, axis.turn),
-            turn_begins_s(clock, steps, axis.turn + 1)};
+// begin: the quarter in which the first turn begins.
+LastLeg last_leg(const AxisDescent &axis, const Clock &clock, int begin) {
+    return {axis.height_rad, turn_begins_s(clock, begin, axis.turn),
+            turn_begins_s(clock, begin, axis.turn + 1)};
 }
 
-Approach approach_of(PositionerIndex i, const Descent &descent, const Clock &clock, int steps) {
-    return {i.value(), last_leg(descent.alpha, clock, steps), last_leg(descent.beta, clock, steps)};
+Approach approach_of(PositionerIndex i, const Descent &descent, const Clock &clock, int begin) {
+    return {i.value(), last_leg(descent.alpha, clock, begin), last_leg(descent.beta, clock, begin)};
 }
 
 // The facade's work: settle the goals, find paths for all, give up those for which there is none.
@@ -68,7 +70,7 @@ class Planner {
     void give_up_some(const PathSet &paths);
     void give_up_locked(const PathSet &paths, const List<Repair::Pair> &pairs);
     bool lock_each_other(PositionerIndex i, PositionerIndex j);
-    void keep(const PathSet &paths);
+    void keep(PathSet &paths);
     int last_step(const PathSet &paths) const;
     PlanResult none_moves();
 
@@ -79,7 +81,6 @@ class Planner {
     List<PositionerIndex, PathIndex> positioner_of_;
     std::optional<PathSet> before_;                      // of a round before ...
     List<PositionerIndex, PathIndex> positioner_before_; // ... and whose its paths are
-    List<OwnKnots, PathIndex> own_;                      // of those that do not go as their paths do
     std::vector<Motion> motions_;
     std::vector<Approach> approaches_;
     Statistics statistics_;
@@ -199,7 +200,6 @@ bool Planner::find_paths() {
     }
     if (free) repair.hurry(least_steps_);
     if (free) repair.tidy();
-    if (free) own_ = fewer_points(paths, settings_.most_points, settings_.enough);
     statistics_.expansions += repair.expansions();
     note_spared(paths);
     if (free) {
@@ -304,9 +304,13 @@ int Planner::last_step(const PathSet &paths) const {
     return last;
 }
 
-void Planner::keep(const PathSet &paths) {
-    const int last = last_step(paths);
-    statistics_.steps = last;
+void Planner::keep(PathSet &paths) {
+    const int last = end_of_path(last_step(paths));
+    auto [earlier, own] = earlier_by_quarters(paths, settings_.enough);
+    fewer_points(paths, settings_.most_points, settings_.enough, own);
+    const int end = last - earlier;
+    statistics_.quarters_earlier = earlier;
+    statistics_.steps = static_cast<double>(end - end_of_path(0)) / quarters;
     statistics_.step_s = clock_.step_s();
     List<Motion, PositionerIndex> motions;
     for (const Angles &start : task_.start) motions.push_back({{0.0}, {start}});
@@ -314,9 +318,10 @@ void Planner::keep(const PathSet &paths) {
         const PositionerIndex i = positioner_of_[m];
         if (paths.at(m).still) continue;
         const Descent &descent = goals_.descent(i);
-        motions[i] = motion_of(paths.at(m).robot, paths.at(m).path, last, clock_, descent);
-        follow(own_[m], clock_.quarter_s, motions[i]);
-        if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, last));
+        motions[i] = own[m].empty() ? motion_of(paths.at(m).robot, paths.at(m).path, clock_)
+                                    : motion_along(own[m], clock_.quarter_s);
+        add_descent(motions[i], descent, clock_, end);
+        if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, end));
     }
     motions_.assign(motions.begin(), motions.end());
 }

@@ -46,4 +46,17 @@ LoadTorque ArmLoads::torque(Gravity gravity) const {
             of_beta + beta_.torque_Nm(at_.beta_rad)};
 }
 
+LoadTorque ArmLoads::range(Angles turns, Gravity gravity) const {
+    const double g = std::hypot(gravity.x, gravity.y);
+    const auto of_mass = [g](const AxisLoad &load) {
+        return 2.0 * g * std::hypot(load.moment_x, load.moment_y);
+    };
+    const auto of_fibres = [](const AxisLoad &load, double turn_rad) {
+        return 2.0 * std::abs(load.fibre_friction) + std::abs(load.fibre_rate) * turn_rad;
+    };
+    const double of_beta = of_mass(beta_.load);
+    return {of_mass(alpha_.load) + of_beta + of_fibres(alpha_.load, turns.alpha_rad),
+            of_beta + of_fibres(beta_.load, turns.beta_rad)};
+}
+
 } // namespace fl::twin

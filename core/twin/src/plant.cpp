@@ -217,11 +217,25 @@ double Plant::backlash_rad(size_t axis) const {
     return axes_[axis].cell.backlash().at(lane(axis, &AxisGroup::gear_rad));
 }
 
-double Plant::speed_limit_rad_s(size_t axis) const {
-    const PlantParams p = params(axis);
+// The corner of the field of three phases between 0 and the supply lies at sqrt(3) u_dc. The gear takes
+// torque from the rotor and never gives: only drag, cogging and inertia are left. In an open bridge cogging
+// acts without the drag of the EMF, so that it counts twice. Momentum is kept when contact opens, and a rotor
+// that has lost the gear's inertia goes faster by their ratio.
+SpeedBound speed_bound(const PlantParams &p) {
     const double constant = p.flux_linkage / p.coil_resistance;
-    const double torque_Nm = 1.5 * constant * p.supply + p.cogging_2 + p.cogging_4;
-    return torque_Nm / (1.5 * constant * p.flux_linkage + p.viscous_motor);
+    const double torque_Nm = std::sqrt(3.0) * constant * p.supply + 2.0 * (p.cogging_2 + p.cogging_4);
+    const double drag_Nms = 1.5 * constant * p.flux_linkage + p.viscous_motor;
+    const double time_constant_s = (p.inertia_motor + p.inertia_gear) / drag_Nms;
+    return {torque_Nm / p.inertia_motor * time_constant_s, time_constant_s};
+}
+
+double Plant::output_per_motor(size_t axis) const {
+    return fl::twin::output_per_motor(axes_[axis].gear, param(axis, &PlantParams::gear_ratio));
+}
+
+// Nodes are a chain of a memory and at most six standard deviations of news.
+double Plant::seat_limit_rad(size_t axis) const {
+    return 6.0 * seat_news / (1.0 - seat_memory) * axes_[axis].seat.rms_rad;
 }
 
 void Plant::set_external_torque(size_t axis, double torque_Nm) {

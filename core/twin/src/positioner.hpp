@@ -46,6 +46,8 @@ struct alignas(64) PositionerGroup {
     AxisGroup *lanes = nullptr;
     uint32_t awake = 0;                  // a bit for each that is not asleep
     uint32_t posed = 0;                  // and for each that has been published since the last sync point
+    uint32_t disturbed = 0;              // and that has just begun to be pushed
+    bool moved = false;                  // it has run since then
     uint64_t now = 0;                    // tick of the last call into a firmware of them
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
     Outbox outbox;

@@ -98,6 +98,20 @@ bool is_worn(const Transmission &t) {
     return std::any_of(t.wear.begin(), t.wear.end(), [](const Wear &w) { return w.height_rad != 0.0; });
 }
 
+// Calls look(lo, hi) for the cells between neighbouring nodes, until it says no. The series repeat every
+// turn, wear does not.
+template <class Look> void each_cell(const Gear &gear, double gear_ratio, Look &&look) {
+    const int32_t first = gear.wear ? -2 * nodes_per_turn : 0;
+    const int32_t last = gear.wear ? 2 * nodes_per_turn : nodes_per_turn;
+    NodeBlock block;
+    Node lo = block.at(gear, gear_ratio, first);
+    for (int32_t i = first + 1; i <= last; ++i) {
+        const Node hi = block.at(gear, gear_ratio, i);
+        if (!look(lo, hi)) return;
+        lo = hi;
+    }
+}
+
 // By the sums of amplitudes alone: a thousand gears are checked at once, and none is refused by it.
 bool plainly_sound(const Transmission &t, double gear_ratio) {
     double slope = 0.0, depth = 0.0;
@@ -173,23 +187,38 @@ double output_of_gear(const Cell &cell, double gear_rad) {
     return cell.output_lo_rad() + (gear_rad - cell.lo.gear_rad) * cell.output_per_gear();
 }
 
+// By the sums of amplitudes where those tell little more than the nodes would.
+double output_per_motor(const Gear &gear, double gear_ratio) {
+    constexpr double shallow = 0.3;
+    double slope = 0.0;
+    const Gear::Wave *wave = gear.waves.get();
+    for (uint32_t left = gear.orders; left != 0; left &= left - 1, ++wave)
+        slope += harmonic_orders[static_cast<size_t>(std::countr_zero(left))] *
+                 (std::hypot(wave->delta_rad.cos, wave->delta_rad.sin) +
+                  std::hypot(wave->backlash_rad.cos, wave->backlash_rad.sin) / gear_ratio);
+    if (!gear.wear && slope < shallow) return 1.0 / (gear_ratio * (1.0 - slope));
+    double narrowest_rad = gear_ratio * node_step_rad;
+    each_cell(gear, gear_ratio, [&](const Node &lo, const Node &hi) {
+        const double gear_rad = hi.gear_rad - lo.gear_rad;
+        narrowest_rad = std::min({narrowest_rad, gear_rad, gear_rad + hi.backlash_rad - lo.backlash_rad});
+        return true;
+    });
+    return node_step_rad / narrowest_rad;
+}
+
 const char *transmission_fault(const Transmission &t, double gear_ratio) {
     if (plainly_sound(t, gear_ratio)) return nullptr;
-    // the series repeat every turn, wear does not
-    const int32_t first = is_worn(t) ? -2 * nodes_per_turn : 0;
-    const int32_t last = is_worn(t) ? 2 * nodes_per_turn : nodes_per_turn;
-    const Gear gear(t);
-    NodeBlock block;
-    Node lo = block.at(gear, gear_ratio, first);
-    for (int32_t i = first + 1; i <= last; ++i) {
-        const Node hi = block.at(gear, gear_ratio, i);
-        if (hi.backlash_rad < 0.0) return "backlash is negative somewhere";
-        if (!(hi.gear_rad > lo.gear_rad)) return "delta falls faster than the angle rises";
-        if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))
-            return "backlash falls faster than the angle rises";
-        lo = hi;
-    }
-    return nullptr;
+    const char *fault = nullptr;
+    each_cell(Gear(t), gear_ratio, [&](const Node &lo, const Node &hi) {
+        if (hi.backlash_rad < 0.0)
+            fault = "backlash is negative somewhere";
+        else if (!(hi.gear_rad > lo.gear_rad))
+            fault = "delta falls faster than the angle rises";
+        else if (!(hi.gear_rad + hi.backlash_rad > lo.gear_rad + lo.backlash_rad))
+            fault = "backlash falls faster than the angle rises";
+        return fault == nullptr;
+    });
+    return fault;
 }
 
 } // namespace fl::twin

@@ -28,6 +28,9 @@ NODES_PER_TURN: int = 4096
 def transmission(transmission: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gear_ratio: float, output_rad: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))]]:
     """Gear angle T- and backlash B, motor rad, at output angles."""
 
+def output_per_motor(transmission: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], gear_ratio: float) -> float:
+    """The most that the output turns for a rad of the motor."""
+
 class Plant:
     """Motors, gears and hall sensors of n axes, without firmware."""
 
@@ -62,6 +65,11 @@ class Plant:
 
     def backlash_rad(self, axis: int) -> float:
         """Where the gear is, motor rad."""
+
+    def speed_bound(self, axis: int) -> tuple[float, float]:
+        """
+        Of the rotor: limit in rad/s that none exceeds, time constant of the way there in s.
+        """
 
     @property
     def kernel(self) -> str: ...
@@ -127,6 +135,15 @@ class TwinSetup:
 
     @kernel.setter
     def kernel(self, arg: str, /) -> None: ...
+
+    @property
+    def bound_scale(self) -> float:
+        """
+        of how far arms may come until they are looked at again: above 1 shorter slices, the same bytes
+        """
+
+    @bound_scale.setter
+    def bound_scale(self, arg: float, /) -> None: ...
 
 class Twin:
     """Positioners with firmware on a virtual bus."""
@@ -218,6 +235,15 @@ class Twin:
 
     @property
     def ticks_skipped(self) -> int: ...
+
+    @property
+    def slices(self) -> int:
+        """Spans of time in which threads did not wait for each other."""
+
+    def bounds_mm(self, ticks: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """
+        The farthest (N,) that arms can come within 4 to 256 ticks from now, unless one begins to push another.
+        """
 
     @property
     def kernel(self) -> str: ...

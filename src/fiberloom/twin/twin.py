@@ -65,6 +65,9 @@ class Computing(TypedDict, total=False):
     substeps: int | tuple[int, int]
     """Of the plant in a tick, `ADAPTIVE` unless told; a second number is that of a tick in which an axis
     pushes its gear all the time. Other numbers are other physics."""
+    bound_scale: float
+    """Of how far arms may come before they are looked at again: above 1 threads wait for each other more
+    often than they must."""
 
 
 class Twin:
@@ -109,6 +112,7 @@ class Twin:
             setup.side_by_side = computing.get("side_by_side", True)
             setup.substeps = computing.get("substeps", ADAPTIVE)
             setup.kernel = computing.get("kernel", "")
+            setup.bound_scale = computing.get("bound_scale", 1.0)
             self._core = _core.Twin(setup)
             if units.loaded:
                 self._core.set_loads(plain(units.load).reshape(len(plane), -1))

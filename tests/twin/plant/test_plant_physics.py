@@ -354,6 +354,33 @@ def test_what_an_axis_does_is_its_own(kernel, steps):
         assert (other_hall == hall).all()
 
 
+def waiting(companions, kernel, **steps):
+    """16 positioners: the odd ones push a way, then wait in a field that hardly changes, and push again."""
+    ticks = np.arange(1200)
+    ways = {"push": 0.1 * ticks, "to and fro": 3.0 * np.sin(ticks / 9)}
+    waits = 0.1 * np.cumsum(ticks % 400 < 150)
+    angle = np.repeat(np.stack([ways[companions], waits], axis=1), 2, axis=1)
+    strength = np.repeat(np.stack([np.ones(1200), 1.0 + 0.01 * np.sin(ticks)], axis=1), 2, axis=1)
+    rows = np.arange(16) % len(UNITS)
+    params, gears = UNITS.plant[rows].ravel(), UNITS.gear[rows].ravel()
+    axes = plant(params, gears, np.full(32, 1.0), seed=3, kernel=kernel, **steps)
+    log, hall = axes.run(field(np.tile(strength, 8)[..., None], np.tile(angle, 8)))
+    odd = np.arange(32) % 4 >= 2
+    return log[:, odd], hall[:, odd]
+
+
+@pytest.mark.parametrize("kernel", core.KERNELS)
+@pytest.mark.parametrize("steps", [{}, {"substeps": (10, 2)}])
+def test_an_axis_that_friction_holds_is_where_every_kick_would_leave_it(kernel, steps):
+    """Among axes that push their gears it is not looked for in every step, among others it is."""
+    log, hall = waiting("push", kernel, **steps)
+    at_rest = np.diff(log[..., MOTOR], axis=0) == 0.0
+    assert 0.3 < at_rest.mean() < 0.9
+    other, other_hall = waiting("to and fro", kernel, **steps)
+    assert (other == log).all()
+    assert (other_hall == hall).all()
+
+
 def test_same_seed_same_bytes_other_seed_other_noise():
     assert random_run("") == random_run("")
     assert random_run("") != random_run("", seed=5)

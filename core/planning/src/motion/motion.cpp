@@ -29,9 +29,6 @@ VelocityChanges changes_at(const List<Cell> &path, int step) {
             {before.beta - here.beta, after.beta - here.beta}};
 }
 
-// The last cut corner of a path ends half a step after it.
-int end_quarters(int steps) { return 4 * steps + 2; }
-
 // In which an axis can go so far and stop.
 double shortest_step_s(double way_rad, Pace pace) {
     return std::max(way_rad / pace.speed_rad_s, std::sqrt(2.0 * way_rad / pace.acceleration_rad_s2));
@@ -44,22 +41,6 @@ int least_turn_quarters(double height_rad, Pace pace, double quarter_s) {
     const double by_acceleration =
         std::sqrt(2.0 * height_rad / (within * pace.acceleration_rad_s2)) / quarter_s;
     return static_cast<int>(std::ceil(std::max(by_speed, by_acceleration)));
-}
-
-// From the end of the path down to the goal, beginning at a time that is given in quarters.
-void add_descent(Motion &motion, Angles goal, const Descent &descent, const Clock &clock, int begin) {
-    const auto add = [&](int turn) {
-        const double time_s = (begin + turn * clock.turn_quarters) * clock.quarter_s;
-        const Angles above = descent.above(turn);
-        if (motion.time_s.back() < time_s)
-            add_point(motion, time_s, {goal.alpha_rad + above.alpha_rad, goal.beta_rad + above.beta_rad});
-    };
-    add(0);
-    for (int turn = 0; turn <= descent.last_turn(); ++turn) {
-        if (!descent.moves(turn)) continue;
-        add(turn);
-        add(turn + 1);
-    }
 }
 
 } // namespace
@@ -97,8 +78,8 @@ double Clock::grid_rad(Pace pace) const {
                               0.5 * pace.acceleration_rad_s2 * step_s() * step_s()});
 }
 
-double turn_begins_s(const Clock &clock, int steps, int turn) {
-    return (end_quarters(steps) + turn * clock.turn_quarters) * clock.quarter_s;
+double turn_begins_s(const Clock &clock, int begin, int turn) {
+    return (begin + turn * clock.turn_quarters) * clock.quarter_s;
 }
 
 // An axis that goes up in one turn and down in the next changes its speed by two heights a turn.
@@ -107,11 +88,27 @@ double Clock::highest_hook_rad(double acceleration_rad_s2) const {
     return 0.5 * within * acceleration_rad_s2 * turn_s * turn_s;
 }
 
-Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Clock &clock,
-                 const Descent &descent) {
+void add_descent(Motion &motion, const Descent &descent, const Clock &clock, int begin) {
+    const Angles end = motion.angles.back(), highest = descent.above(0);
+    const Angles goal{end.alpha_rad - highest.alpha_rad, end.beta_rad - highest.beta_rad};
+    const auto add = [&](int turn) {
+        const double time_s = turn_begins_s(clock, begin, turn);
+        const Angles above = descent.above(turn);
+        if (motion.time_s.back() < time_s)
+            add_point(motion, time_s, {goal.alpha_rad + above.alpha_rad, goal.beta_rad + above.beta_rad});
+    };
+    add(0);
+    for (int turn = 0; turn <= descent.last_turn(); ++turn) {
+        if (!descent.moves(turn)) continue;
+        add(turn);
+        add(turn + 1);
+    }
+}
+
+Motion motion_of(const Robot &robot, const List<Cell> &path, const Clock &clock) {
     Motion motion;
     add_point(motion, 0.0, angles_at(robot, path[0], {}, 2));
-    for (int step = 0; step <= steps; ++step) {
+    for (int step = 0; step < path.size(); ++step) {
         const Cell here = cell_at(path, step);
         const VelocityChanges changes = changes_at(path, step);
         if (robot.alpha().straight(here.alpha, changes.alpha) &&
@@ -121,9 +118,6 @@ Motion motion_of(const Robot &robot, const List<Cell> &path, int steps, const Cl
             if (step > 0 || k > 1) // the first point is there already
                 add_point(motion, (4 * step + k - 1) * clock.quarter_s, angles_at(robot, here, changes, k));
     }
-    const Angles end = angles_at(robot, cell_at(path, steps), {}, 2), above = descent.above(0);
-    const Angles goal{end.alpha_rad - above.alpha_rad, end.beta_rad - above.beta_rad};
-    add_descent(motion, goal, descent, clock, end_quarters(steps));
     return motion;
 }
 

@@ -127,6 +127,18 @@ bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
     return bodies_apart(p, q, need_mm, rests ? chords_stay_apart : chords_ever_apart);
 }
 
+SweptArm quarter_of(const SweptArm &swept, int quarter) {
+    SweptArm out = swept;
+    const Segment &from = swept.at[quarter], &to = swept.at[quarter + 1];
+    const bool rests = length(to.a - from.a) == 0.0 && length(to.b - from.b) == 0.0;
+    if (rests) out.bulge_mm = 0.0;
+    const Segment half = middle(from, to);
+    const Segment at[] = {from, middle(from, half), half, middle(half, to), to};
+    std::copy(std::begin(at), std::end(at), out.at);
+    measure_displacement_bound(out);
+    return out;
+}
+
 SweptArm resting_arm(const Segment &line, double extra_mm, const Shape *shape) {
     SweptArm rest;
     std::fill(std::begin(rest.at), std::end(rest.at), line);

@@ -74,7 +74,10 @@ double relative_displacement(const TwoLines &from, const TwoLines &to);
 // bodies with shapes, those of all limbs that share a layer.
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
-// The same whatever the moments within the step at which the one and the other are.
+// One quarter of a step, as a step. Where the arm rests in it, it bulges by nothing.
+SweptArm quarter_of(const SweptArm &swept, int quarter);
+
+// The same as stay_apart whatever the moments within the step at which the one and the other are.
 bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm);
 
 // The same two for lines with their places at the borders of the quarters, and all that they need.

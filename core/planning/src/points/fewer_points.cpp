@@ -52,28 +52,18 @@ double slope(const Knots &knots, int k) {
     return (to.angle_rad - from.angle_rad) / (to.quarter - from.quarter);
 }
 
-double angle_at(const Knots &knots, int quarter) {
-    const auto after = [](int q, const Knot &k) { return q < k.quarter; };
-    const auto next = std::upper_bound(knots.begin(), knots.end(), quarter, after);
-    if (next == knots.begin()) return knots.front().angle_rad;
-    if (next == knots.end()) return knots.back().angle_rad;
-    const Knot &from = *(next - 1), &to = *next;
-    const double part = double(quarter - from.quarter) / (to.quarter - from.quarter);
-    return from.angle_rad + part * (to.angle_rad - from.angle_rad);
-}
-
 // Of one positioner, both axes.
 class Thinning {
   public:
-    Thinning(PathSet &paths, PathIndex i, int most_knots)
-        : paths_(paths), i_(i), most_knots_(most_knots), member_(paths.at(i)),
-          own_{knots_of(member_, member_.robot.alpha(), &Cell::alpha),
-               knots_of(member_, member_.robot.beta(), &Cell::beta)} {}
+    Thinning(PathSet &paths, PathIndex i, int most_knots, OwnKnots knots)
+        : paths_(paths), i_(i), most_knots_(most_knots), member_(paths.at(i)), own_(std::move(knots)) {}
 
-    OwnKnots run() {
+    // Whether any has been left out.
+    bool run() {
         const bool alpha = thin(own_.alpha), beta = thin(own_.beta);
-        return alpha || beta ? own_ : OwnKnots{};
+        return alpha || beta;
     }
+    const OwnKnots &knots() const { return own_; }
 
   private:
     // Short runs first: they lead least far from the path. The last segment stays, as it leads to the
@@ -122,29 +112,20 @@ class Thinning {
     double sharpest_ = 0.0; // change of speed of an axis on its path
 };
 
-bool too_many(const Member &member, int most_knots) {
-    return std::max(knots_of(member, member.robot.alpha(), &Cell::alpha).size(),
-                    knots_of(member, member.robot.beta(), &Cell::beta).size()) > most_knots;
+OwnKnots knots_of(const Member &member) {
+    return {knots_of(member, member.robot.alpha(), &Cell::alpha),
+            knots_of(member, member.robot.beta(), &Cell::beta)};
 }
 
 } // namespace
 
-List<OwnKnots, PathIndex> fewer_points(PathSet &paths, int most_points, const Enough &enough) {
+void fewer_points(PathSet &paths, int most_points, const Enough &enough, List<OwnKnots, PathIndex> &own) {
     const int most = most_points - for_approach;
-    List<OwnKnots, PathIndex> out(paths.size());
-    for (const PathIndex i : paths.places())
-        if (!paths.at(i).still && too_many(paths.at(i), most) && !enough())
-            out[i] = Thinning(paths, i, most).run();
-    return out;
-}
-
-void follow(const OwnKnots &own, double quarter_s, Motion &motion) {
-    if (own.alpha.empty()) return;
-    for (size_t k = 0; k < motion.angles.size(); ++k) {
-        const int quarter = static_cast<int>(std::lround(motion.time_s[k] / quarter_s));
-        Angles &at = motion.angles[k];
-        if (quarter <= own.alpha.back().quarter) at.alpha_rad = angle_at(own.alpha, quarter);
-        if (quarter <= own.beta.back().quarter) at.beta_rad = angle_at(own.beta, quarter);
+    for (const PathIndex i : paths.places()) {
+        if (paths.at(i).still) continue;
+        const OwnKnots knots = own[i].empty() ? knots_of(paths.at(i)) : own[i];
+        if (std::max(knots.alpha.size(), knots.beta.size()) <= most || enough()) continue;
+        if (Thinning thinning(paths, i, most, knots); thinning.run()) own[i] = thinning.knots();
     }
 }
 

@@ -11,8 +11,9 @@ namespace {
 // What one beginning takes at most: repairs, work as Repair::work counts it, nodes of joint searches.
 constexpr int repairs_of_a_knot = 300, joint_nodes_of_a_knot = 20000;
 constexpr std::int64_t work_of_a_knot = 700000;
-// A pair that resists begins anew after a part of the repairs that are otherwise made in vain.
-constexpr int share_before_anew = 3;
+// The knot of a pair that resists grows, or begins anew, each time after a part of the repairs that are
+// otherwise made in vain. It grows where no more pairs resist, so often in vain before it begins anew.
+constexpr int share_before_anew = 6, few_pairs = 3, grows_in_vain = 2;
 // A knot that grows: how many it may be, how many join it at once, and work for it to the end.
 constexpr int most_of_a_knot = 12, join_at_once = 2;
 constexpr std::int64_t work_of_growing = 800000;
@@ -26,6 +27,9 @@ constexpr std::int64_t work_in_time = 200000, work_of_a_beginning = 300000, work
 // of no use, repairs and work.
 constexpr int times_round = 2, most_pairs_of_a_return = 3, repairs_of_a_return = 40;
 constexpr std::int64_t work_of_a_return = 80000;
+// The same where it shall part two: then the others have time to go round it.
+constexpr int repairs_of_a_part = 100;
+constexpr std::int64_t work_of_a_return_in_time = 150000, work_of_parting = 1000000;
 
 } // namespace
 
@@ -65,15 +69,20 @@ bool Repair::begin_anew(List<PathIndex> knot, int most_pairs, std::int64_t most_
     return done;
 }
 
-// Repairs until no two conflict; where they come to a standstill, a knot in which two do begins anew.
+// Repairs until no two conflict; where they come to a standstill, a knot in which two do grows, or begins
+// anew.
 bool Repair::part(int most) {
     if (begins_anew_ == 0 || paths_.heeds_lateness()) return rounds(most);
-    for (int failed = 0;;) {
+    for (int grown = 0, anew = 0;;) {
         vain_share_ = share_before_anew;
         const bool done = rounds(most);
         vain_share_ = 1;
-        if (done || !locked_.empty() || failed == begins_anew_ || enough()) return done;
-        failed = part_anew() ? 0 : failed + 1;
+        if (done || !locked_.empty() || anew == begins_anew_ || enough()) return done;
+        const bool grows = grown < grows_in_vain && paths_.conflicts() <= few_pairs;
+        if (grows ? part_by_growing() : part_anew())
+            grown = anew = 0;
+        else
+            ++(grows ? grown : anew);
     }
 }
 
@@ -86,6 +95,23 @@ bool Repair::part_anew() {
     paths_.note_changes();
     const bool done = begin_anew(knot, all.size(), work_of_a_knot);
     paths_.end_changes(done);
+    return done;
+}
+
+// The same with a knot that grows from the two. Those that do not arrive earlier for it lose no time.
+bool Repair::part_by_growing() {
+    const auto all = pairs();
+    const Pair pair = all[random_.below(all.size())];
+    Growth wish{{}, most_steps_ + 1, first_steps_, all.size(), in_conflict({pair.first, pair.second})};
+    for (const PathIndex i : {pair.first, pair.second})
+        if (!paths_.at(i).still) wish.first.push_back(i);
+    const auto before = deadlines();
+    paths_.note_changes();
+    alone_ = parts_two_ = true;
+    const bool done = grow_knot(wish);
+    alone_ = parts_two_ = false;
+    paths_.end_changes(done);
+    set_deadlines(before);
     return done;
 }
 
@@ -117,13 +143,24 @@ int Repair::steps_in_conflict(PathIndex i) const {
     return sum;
 }
 
-// Those that conflict and are not of a knot, those that do for most steps first.
-List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot) const {
+// Those that conflict and are not of a knot, those that do for most steps first, or with most others where it
+// parts two. But for some that conflict with
+// none of it.
+List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot, const List<PathIndex> &but) const {
+    const auto met = [&](PathIndex i) {
+        const auto &theirs = paths_.at(i).conflicts;
+        return !theirs.empty() &&
+               (!but.contains(i) || std::any_of(theirs.begin(), theirs.end(), [&](const PathConflict &c) {
+                   return knot.contains(c.other);
+               }));
+    };
     List<PathIndex> out;
     for (const PathIndex i : paths_.places())
-        if (!paths_.at(i).conflicts.empty() && !knot.contains(i)) out.push_back(i);
-    std::stable_sort(out.begin(), out.end(),
-                     [&](PathIndex i, PathIndex j) { return steps_in_conflict(i) > steps_in_conflict(j); });
+        if (!knot.contains(i) && met(i)) out.push_back(i);
+    std::stable_sort(out.begin(), out.end(), [&](PathIndex i, PathIndex j) {
+        if (parts_two_) return paths_.at(i).conflicts.size() > paths_.at(j).conflicts.size();
+        return steps_in_conflict(i) > steps_in_conflict(j);
+    });
     return out;
 }
 
@@ -139,6 +176,18 @@ void Repair::allow_before(int step) {
         m.deadline = std::max(m.arrival, step - 1);
         m.tries = m.joint_in_vain = 0;
     }
+}
+
+List<int, PathIndex> Repair::deadlines() const {
+    List<int, PathIndex> out;
+    for (const PathIndex i : paths_.places()) out.push_back(paths_.at(i).deadline);
+    return out;
+}
+
+// As they were; those that arrive later may be as late as they are.
+void Repair::set_deadlines(const List<int, PathIndex> &deadlines) {
+    for (const PathIndex i : paths_.places())
+        paths_.at(i).deadline = std::max(deadlines[i], paths_.arrival(i));
 }
 
 // A knot, all others absent: those that are late look for paths before a step, then repairs. Whether none
@@ -169,21 +218,25 @@ bool Repair::begin_alone(const List<PathIndex> &knot, const List<PathIndex> &som
     return apart;
 }
 
-// A knot, all others absent: by halves, until that was in vain a few times; then by what is left to a step.
-// Whether all end before it.
-bool Repair::hurry_knot(const List<PathIndex> &knot, int step, int wanted_steps, std::int64_t most_work) {
+// A knot, all others absent: by halves, until that was in vain a few times, or has taken enough.
+void Repair::hurry_by_halves(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work) {
     for (int low = wanted_steps, failed = 0; failed <= most_failures && work() < most_work;) {
         const PathIndex last = last_of(knot);
         const int arrival = paths_.arrival(last);
-        if (arrival <= low) break;
+        if (arrival <= low) return;
         const int deadline = (low + arrival) / 2;
         if (squeeze(last, deadline, repairs_alone)) continue;
         low = deadline + 1;
         ++failed;
     }
-    if (paths_.arrival(last_of(knot)) < step) return true;
+}
+
+// The same, and where that is too late by what is left to a step. Whether all end before it.
+bool Repair::hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::int64_t most_work) {
+    hurry_by_halves(knot, wish.wanted_steps, most_work);
+    if (paths_.arrival(last_of(knot)) < wish.step) return true;
     paths_.note_changes();
-    const bool done = part_in_time(knot, step, repairs_in_the_end);
+    const bool done = part_in_time(knot, wish.step, repairs_in_the_end);
     paths_.end_changes(done);
     return done;
 }
@@ -191,18 +244,35 @@ bool Repair::hurry_knot(const List<PathIndex> &knot, int step, int wanted_steps,
 // A knot, all others absent: whether its paths do not conflict, and all end before a step. It tries that a
 // few times from the paths that they have, which is soon seen; then those that have joined it last, or all,
 // begin anew.
-bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, int step,
-                        int wanted_steps) {
+bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish) {
     const int from_here = knot.size() == 1 ? 0 : times_from_here;
     for (int k = 0; k <= from_here && (k == 0 || !enough()); ++k) {
         const std::int64_t most_work = work() + work_alone;
         paths_.note_changes();
         const bool apart = k < from_here
-                               ? part_in_time(knot, step, repairs_in_time)
-                               : begin_alone(knot, random_.chance(50) ? joined : knot, wanted_steps);
-        const bool done = apart && hurry_knot(knot, step, wanted_steps, most_work);
+                               ? part_in_time(knot, wish.step, repairs_in_time)
+                               : begin_alone(knot, random_.chance(50) ? joined : knot, wish.wanted_steps);
+        const bool done = apart && hurry_knot(knot, wish, most_work);
         paths_.end_changes(done);
         if (done) return true;
+    }
+    return false;
+}
+
+// The same where it parts two. Those that have joined it last begin anew; where that fails all of it does.
+bool Repair::part_two_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish) {
+    for (const List<PathIndex> *some : {&joined, &knot}) {
+        paths_.note_changes();
+        const int last_steps = last_steps_;
+        const bool apart = begin_alone(knot, *some, wish.wanted_steps);
+        const auto before = deadlines();
+        if (apart) hurry_by_halves(knot, wish.wanted_steps, work() + work_of_a_beginning);
+        last_steps_ = last_steps;
+        set_deadlines(before);
+        const bool done = apart && paths_.arrival(last_of(knot)) < wish.step;
+        paths_.end_changes(done);
+        if (done) return true;
+        if (joined.size() == knot.size() || enough()) return false;
     }
     return false;
 }
@@ -217,57 +287,63 @@ void Repair::go_round(const List<PathIndex> &knot) {
         }
 }
 
-// Whether none conflict once those in the way have gone round, and what still meets is repaired.
-bool Repair::repair_return(const List<PathIndex> &knot) {
-    go_round(knot);
-    if (paths_.conflicts() > most_pairs_of_a_return) return false;
-    most_work_ = work() + work_of_a_return;
-    const bool done = rounds(repairs_of_a_return);
+// Whether few enough conflict once those in the way have gone round, and what still meets is repaired; where
+// it parts two, by repairs alone.
+bool Repair::repair_return(const List<PathIndex> &knot, const Growth &wish) {
+    if (!parts_two_) {
+        go_round(knot);
+        if (paths_.conflicts() > most_pairs_of_a_return) return false;
+    }
+    most_work_ = work() + (parts_two_ ? work_of_a_return_in_time : work_of_a_return);
+    const bool none = rounds(parts_two_ ? repairs_of_a_part : repairs_of_a_return);
     most_work_ = unlimited;
-    return done;
+    return none || paths_.conflicts() < wish.most_pairs;
 }
 
-// All others come back, and go round the knot, or it round them, all before a step: whether none conflict
-// then. If some do all is as before; rivals: those that conflict and are not of the knot.
-bool Repair::fit_in(int step, const List<PathIndex> &knot, const List<PathIndex> &others,
+// All others come back, and go round the knot, or it round them: whether few enough conflict then. If not all
+// is as before; rivals: those that conflict and are not of the knot.
+bool Repair::fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
                     List<PathIndex> &rivals) {
-    allow_before(step);
     paths_.note_changes();
     come_back(others);
-    rivals = in_conflict(knot);
-    bool done = rivals.empty();
+    rivals = in_conflict(knot, wish.before);
+    bool done = paths_.conflicts() < wish.most_pairs;
     if (!done && knot.size() > 1) { // one alone has been tried
-        done = repair_return(knot);
-        if (const List<PathIndex> left = in_conflict(knot); !left.empty()) rivals = left;
+        done = repair_return(knot, wish);
+        if (const auto left = in_conflict(knot, wish.before); !left.empty()) rivals = left;
     }
     paths_.end_changes(done);
     if (!done) leave(others);
     return done;
 }
 
-// The same half-way to what the knot takes alone, else before the last one arrives now.
-bool Repair::fit_in_soon(int best, int wanted_steps, const List<PathIndex> &knot,
-                         const List<PathIndex> &others, List<PathIndex> &rivals) {
-    const int soon = (std::max(paths_.arrival(last_of(knot)), wanted_steps) + best) / 2 + 1;
-    if (knot.size() > 1 && soon < best && fit_in(soon, knot, others, rivals)) return true;
-    return fit_in(best, knot, others, rivals);
+// The same before the middle between what the knot takes alone and the step; else before the step.
+bool Repair::fit_in_soon(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
+                         List<PathIndex> &rivals) {
+    const int soon = (std::max(paths_.arrival(last_of(knot)), wish.wanted_steps) + wish.step) / 2 + 1;
+    if (knot.size() > 1 && soon < wish.step) {
+        allow_before(soon);
+        if (fit_in(knot, others, wish, rivals)) return true;
+    }
+    allow_before(wish.step);
+    return fit_in(knot, others, wish, rivals);
 }
 
-// The last one alone, then with those that it meets and past which it finds no way, and so on, until all
+// One or two alone, then with those that they meet and past which they find no way, and so on, until all
 // others fit in. Few are soon parted; among all their neighbours at once they seldom are.
-bool Repair::grow_knot(PathIndex last, int wanted_steps) {
-    const int best = paths_.arrival(last);
-    const std::int64_t most_work = work() + work_of_growing;
-    List<PathIndex> knot, joined{last};
+bool Repair::grow_knot(const Growth &wish) {
+    const std::int64_t most_work = work() + (parts_two_ ? work_of_parting : work_of_growing);
+    List<PathIndex> knot, joined = wish.first;
     bool done = false;
     while (!joined.empty() && !done && work() < most_work && !enough()) {
         come_back(joined);
         knot.insert(knot.end(), joined.begin(), joined.end());
         const List<PathIndex> others = others_around(knot);
         leave(others);
-        if (knot.size() > most_of_a_knot || !part_alone(knot, joined, best, wanted_steps)) break;
+        if (knot.size() > most_of_a_knot) break;
+        if (!(parts_two_ ? part_two_alone(knot, joined, wish) : part_alone(knot, joined, wish))) break;
         List<PathIndex> rivals;
-        done = fit_in_soon(best, wanted_steps, knot, others, rivals);
+        done = parts_two_ ? fit_in(knot, others, wish, rivals) : fit_in_soon(knot, others, wish, rivals);
         joined.clear();
         for (int k = 0; k < std::min(rivals.size(), join_at_once); ++k) joined.push_back(rivals[k]);
     }
@@ -279,16 +355,14 @@ bool Repair::grow_knot(PathIndex last, int wanted_steps) {
 bool Repair::grow_alone(PathIndex last, int wanted_steps) {
     if (paths_.heeds_lateness()) return false;
     const int best = paths_.arrival(last), steps = paths_.steps();
-    List<int, PathIndex> deadlines;
-    for (const PathIndex i : paths_.places()) deadlines.push_back(paths_.at(i).deadline);
+    const auto before = deadlines();
     allow_before(best);
     paths_.note_changes();
     alone_ = true;
-    const bool done = grow_knot(last, wanted_steps);
+    const bool done = grow_knot({{last}, best, wanted_steps, 1, {}});
     alone_ = false;
     paths_.end_changes(done);
-    if (!done)
-        for (const PathIndex i : paths_.places()) paths_.at(i).deadline = deadlines[i];
+    if (!done) set_deadlines(before);
     if (paths_.steps() > steps) paths_.shorten();
     return done;
 }

@@ -105,7 +105,7 @@ void PathSet::set_path(PathIndex i, const List<Cell> &path) {
 
 bool PathSet::retrace(PathIndex i, int first, const List<SweptArm> &swept) {
     Member &m = at(i);
-    if (!std::all_of(swept.begin(), swept.end(), [&](const SweptArm &s) { return m.robot.clear(s); }))
+    if (!std::all_of(swept.begin(), swept.end(), [&](const SweptArm &s) { return clear(m, s); }))
         return false;
     SavedPath before = save(i);
     for (int k = 0; k < swept.size(); ++k) {
@@ -116,6 +116,34 @@ bool PathSet::retrace(PathIndex i, int first, const List<SweptArm> &swept) {
     if (m.conflicts.empty()) return true;
     restore(std::move(before));
     count_conflicts(i);
+    return false;
+}
+
+void PathSet::sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&at)[quarters + 1]) {
+    Member &m = this->at(i);
+    const bool rests = std::all_of(std::begin(at), std::end(at), [&](Angles a) {
+        return a.alpha_rad == at[0].alpha_rad && a.beta_rad == at[0].beta_rad;
+    });
+    m.by_quarters = true;
+    m.path[step] = near;
+    m.swept[step] = rests ? m.robot.resting(near) : m.robot.swept(near, at);
+    m.circles[step] = circle_of(m.swept[step]);
+}
+
+bool PathSet::clear(const Member &m, const SweptArm &swept) const {
+    if (m.robot.clear(swept)) return true;
+    if (!m.by_quarters) return false;
+    for (int k = 0; k < quarters; ++k)
+        if (!m.robot.clear(quarter_of(swept, k))) return false;
+    return true;
+}
+
+bool PathSet::meet(const Member &p, const Member &q, int step) const {
+    const SweptArm &one = p.swept[step], &other = q.swept[step];
+    if (!circles_touch(p.circles[step], q.circles[step]) || stay_apart(one, other, need_mm_)) return false;
+    if (!p.by_quarters && !q.by_quarters) return true;
+    for (int k = 0; k < quarters; ++k)
+        if (!stay_apart(quarter_of(one, k), quarter_of(other, k), need_mm_)) return true;
     return false;
 }
 
@@ -356,8 +384,7 @@ bool PathSet::circles_touch(const Circle &p, const Circle &q) const {
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
     int count = 0;
     for (int k = 0; k < p.swept.size(); ++k)
-        if (circles_touch(p.circles[k], q.circles[k]) && !stay_apart(p.swept[k], q.swept[k], need_mm_))
-            ++count;
+        if (meet(p, q, k)) ++count;
     return count;
 }
 

@@ -47,9 +47,10 @@ struct Member {
     List<PathConflict> conflicts;
     SweptArm at_start, at_goal;
     Presence presence = Presence::waiting;
-    int cost = 1000;    // of touching it, per step
-    bool still = false; // rests at its goal from the beginning to the end, without an approach
-    int deadline = 0;   // the step by which it must have arrived
+    int cost = 1000;          // of touching it, per step
+    bool by_quarters = false; // its steps are not those of the path: see sweep_otherwise
+    bool still = false;       // rests at its goal from the beginning to the end, without an approach
+    int deadline = 0;         // the step by which it must have arrived
     BlockedCells blocked, blocked_to_floods; // as a guide, and as a flood, sees them
     List<PathIndex> spared;                  // neighbours with which it is never late
     List<PathIndex> in_vain;                 // for each repair around a conflict of lateness alone: with whom
@@ -109,6 +110,14 @@ class PathSet {
     void set_path(PathIndex i, const List<Cell> &path);
     // What it sweeps from a step on, if that keeps it clear of all; false, and as before, if not.
     bool retrace(PathIndex i, int first, const List<SweptArm> &swept);
+    // In a step it sweeps what it sweeps at these angles at the borders of the quarters, near a cell,
+    // whatever it meets then; its path goes through that cell. It may begin to move within a step: what is
+    // kept in hand and what bulges then counts in those quarters alone in which it moves.
+    void sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&at)[quarters + 1]);
+    // Whether it stays clear of all bodies at rest in a step.
+    bool clear(PathIndex i, int step) const { return clear(at(i), at(i).swept[step]); }
+    // Whether two come too near in a step.
+    bool meet(PathIndex i, PathIndex j, int step) const { return meet(at(i), at(j), step); }
     void keep_still(PathIndex i);
     // From now on it has no path, and is seen so by others: absent or waiting.
     void forget(PathIndex i, Presence presence);
@@ -181,6 +190,8 @@ class PathSet {
     void fit(Member &m) const;
     Circle circle_of(const SweptArm &swept) const;
     bool circles_touch(const Circle &p, const Circle &q) const;
+    bool clear(const Member &m, const SweptArm &swept) const;
+    bool meet(const Member &p, const Member &q, int step) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;

@@ -400,8 +400,9 @@ void Repair::joint_round(Pair pair) {
     const bool by_flood =
         joint.size() == 2 && (alone_ || last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
     floods_ += by_flood;
-    const bool found = by_flood ? paths_.seek_pair(joint, alone_ ? flood_nodes_alone : flood_nodes, joint_)
-                                : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    const bool found =
+        by_flood ? paths_.seek_pair(joint, alone_ && !parts_two_ ? flood_nodes_alone : flood_nodes, joint_)
+                 : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
     joint_left_ -= by_flood ? nodes_of_a_flood : joint_.nodes();
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);

@@ -89,26 +89,39 @@ class Repair {
     bool begin_anew(List<PathIndex> knot, int most_pairs, std::int64_t most_work);
     bool part(int most);
     bool part_anew();
+    bool part_by_growing();
     bool grow(PathIndex last, int far);
     bool grow_alone(PathIndex last, int wanted_steps);
-    bool grow_knot(PathIndex last, int wanted_steps);
+    // What a knot that grows shall come to.
+    struct Growth {
+        List<PathIndex> first;
+        int step = 0;           // before which it shall end
+        int wanted_steps = 0;   // its deadline at first
+        int most_pairs = 0;     // fewer shall conflict in the end
+        List<PathIndex> before; // conflicted before it grew, and are no matter of it
+    };
+    bool grow_knot(const Growth &wish);
     List<PathIndex> others_around(const List<PathIndex> &knot) const;
     void leave(const List<PathIndex> &others);
     void come_back(const List<PathIndex> &others);
     bool is_there(PathIndex i) const { return paths_.at(i).presence == Presence::path; }
-    List<PathIndex> in_conflict(const List<PathIndex> &knot) const;
+    List<PathIndex> in_conflict(const List<PathIndex> &knot, const List<PathIndex> &but = {}) const;
     PathIndex last_of(const List<PathIndex> &some) const;
     void allow_before(int step);
+    List<int, PathIndex> deadlines() const;
+    void set_deadlines(const List<int, PathIndex> &deadlines);
     int steps_in_conflict(PathIndex i) const;
     bool part_in_time(const List<PathIndex> &knot, int step, int repairs);
     bool begin_alone(const List<PathIndex> &knot, const List<PathIndex> &some, int wanted_steps);
-    bool hurry_knot(const List<PathIndex> &knot, int step, int wanted_steps, std::int64_t most_work);
-    bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, int step, int wanted_steps);
+    void hurry_by_halves(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work);
+    bool hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::int64_t most_work);
+    bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
+    bool part_two_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
     void go_round(const List<PathIndex> &knot);
-    bool repair_return(const List<PathIndex> &knot);
-    bool fit_in(int step, const List<PathIndex> &knot, const List<PathIndex> &others,
+    bool repair_return(const List<PathIndex> &knot, const Growth &wish);
+    bool fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
                 List<PathIndex> &rivals);
-    bool fit_in_soon(int best, int wanted_steps, const List<PathIndex> &knot, const List<PathIndex> &others,
+    bool fit_in_soon(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
                      List<PathIndex> &rivals);
     std::int64_t of_usual(std::int64_t of_all) const;
     std::int64_t work() const;
@@ -147,6 +160,7 @@ class Repair {
     int vain_share_ = 1;                 // over this, repairs are made in vain
     // A knot grows: few are there, and joint searches are of two alone and keep to a flood where they can.
     bool alone_ = false;
+    bool parts_two_ = false; // such a knot is one of two that resist, and not of the last to arrive
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
     int most_steps_ = 0; // the same before any hurries

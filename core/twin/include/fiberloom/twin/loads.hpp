@@ -44,6 +44,8 @@ class ArmLoads {
     bool follow(Angles at) const { return at.alpha_rad == at_.alpha_rad && at.beta_rad == at_.beta_rad; }
     // Positive towards positive angles: -d/dangle of the potential -g.(sum of m r), and the bundle's.
     LoadTorque torque(Gravity gravity) const;
+    // No two torques within such turns of the axes differ by more.
+    LoadTorque range(Angles turns, Gravity gravity) const;
 
   private:
     struct Bundle {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -11,12 +12,14 @@
 #include "fiberloom/arm.hpp"
 #include "fiberloom/distance.hpp"
 #include "fiberloom/twin/axis_group.hpp"
+#include "fiberloom/twin/plant_params.hpp"
 
 namespace fl::twin {
 
 // Arms exchange where they are at these ticks, and those that touch at every tick. An arm's tip moves 9 um
 // between two of them at 2000 rpm.
 inline constexpr uint64_t sync_ticks = 4;
+inline constexpr uint64_t longest_ticks = 256; // for which a bound of a motion is worked out
 
 // A capsule that does not move; a disc when both ends coincide.
 struct Obstacle {
@@ -30,11 +33,12 @@ struct Body {
     double from_mm = 0.0, to_mm = 14.7, radius_mm = 1.5;
 };
 
-// How one arm gives way: per axis, rad per Nm, the fastest it can turn, and the most for a way of its gear.
+// How one arm gives way and how it can move, per axis.
 struct Give {
     double compliance_rad_per_Nm[2] = {0.0, 0.0};
-    double speed_limit_rad_s[2] = {0.0, 0.0}; // of the output
-    double output_per_gear[2] = {0.0, 0.0};
+    SpeedBound speed[2];                     // of its motors
+    double output_per_motor[2] = {0.0, 0.0}; // the most that the output turns for a rad of its motor
+    double loose_rad[2] = {0.0, 0.0};        // by which the output may lie off what its motor says
 };
 
 // Two bodies began to touch in this tick.
@@ -47,6 +51,13 @@ struct Touch {
 struct Push {
     double torque_Nm[2] = {0.0, 0.0}; // alpha, beta
     bool operator==(const Push &) const = default;
+};
+
+// How far an arm has come, see Neighbours::travel_mm, and how fast it goes now.
+struct Travel {
+    double way_mm = 0.0;
+    double speed_mm = 0.0; // a tick; below zero: it is pushed
+    static constexpr double pushed = -1.0;
 };
 
 // Where an arm is.
@@ -74,8 +85,11 @@ inline bool in_touch(const std::vector<Contact> &contacts, uint32_t other) {
 class Neighbours {
   public:
     Neighbours() = default;
-    // One row of `gives` for each arm. @pre arms and gives have the same size.
-    Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body, std::vector<Give> gives);
+    // One row of `gives` for each arm. bound_scale: every bound of a motion is so many times itself; above
+    // 1 pairs are looked at more often than they need to be, with the same answers. @pre arms and gives have
+    // the same size.
+    Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
+               const std::vector<Give> &gives, double bound_scale = 1.0);
 
     // Positioner i at these angles; rigid: where it would spring to.
     Pose pose(size_t i, Angles deflected, Angles rigid) const;
@@ -85,28 +99,43 @@ class Neighbours {
     // 0.
     void plan_first_looks(const std::vector<Pose> &poses);
 
+    // What is asked of push() at one tick.
+    struct Moment {
+        const std::vector<Pose> &poses;     // of all positioners at the last sync point
+        const std::vector<Travel> &travels; // and how they move there
+        uint64_t tick;
+        uint64_t
+            ahead; // pairs that are due within so many more ticks are looked at now: a slice may be longer
+    };
     // Torque on positioner i by all that it touches. Far neighbours are left out until they could have
     // come near: the answer does not depend on it. `contacts` are those of the last sync point, and
-    // then those of this. travels_mm: of all positioners at the last sync point, see travel_mm. Any thread,
-    // one call per positioner at a time.
-    Push push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm, uint64_t tick,
-              std::vector<Contact> &contacts);
+    // then those of this. Any thread, one call per positioner at a time.
+    Push push(size_t i, const Moment &at, std::vector<Contact> &contacts);
 
-    // Whether something could touch positioner i at this tick, as far as speeds tell.
-    bool due(size_t i, uint64_t tick) const { return tick >= next_look_[i]; }
+    // The first tick at which something could touch positioner i, as far as speeds tell.
+    uint64_t due(size_t i) const { return next_look_[i]; }
     // The first tick at which something could touch something.
     uint64_t next_due() const;
-    // Whether push() needs the pose of positioner i at this tick: two look at each other at the same ticks,
-    // and only if they have travelled as far as they were apart, but for a sync point.
+    // Whether push() needs the pose of positioner i for pairs that are due at this tick: two look at each
+    // other at the same ticks, and only if they have travelled as far as they were apart, but for a slice.
     bool shown(size_t i, uint64_t tick) const { return tick >= next_exact_[i]; }
+    // What was known of positioner i no longer holds: it is pushed, or has been bent. All its pairs are
+    // looked at by their poses at this tick, a sync point. No push() at the same time.
+    void disturb(size_t i, uint64_t tick);
 
-    // How far a point of arm i has come at most when its gears have turned so far, motor rad. Sums of it,
+    // How far a point of arm i has come at most when its motors have turned so far, rad. Sums of it,
     // sync point by sync point, are the travels of push().
     double travel_mm(size_t i, double alpha_rad, double beta_rad) const {
         return levers_mm_[i].alpha * alpha_rad + levers_mm_[i].beta * beta_rad;
     }
-    // The farthest that it can come from one sync point to the next.
-    double farthest_mm(size_t i) const { return most_mm_[i] * static_cast<double>(sync_ticks); }
+    // The farthest that one that is pushed can come from one sync point to the next.
+    double farthest_mm(size_t i) const { return pushed_mm(i) * static_cast<double>(sync_ticks); }
+    // The farthest that a point of arm i can come within so many ticks, a multiple of sync_ticks up to
+    // longest_ticks, given how it moves now.
+    double bound_mm(size_t i, const Travel &now, uint64_t ticks) const;
+    // Arm i can do this from now on beside what it could. True where that makes bounds of all arms wider:
+    // then none of them is to be trusted, see disturb(). Compliances stay.
+    bool allow(size_t i, const Give &give);
 
     // Memory of all positioners together.
     size_t bytes() const;
@@ -122,7 +151,7 @@ class Neighbours {
     };
     struct Look { // one positioner at one sync point
         size_t i;
-        const std::vector<Pose> &poses;
+        Moment at;
         const std::vector<Contact> &before;
         std::vector<Contact> now;
         Push push;
@@ -148,12 +177,29 @@ class Neighbours {
         double worth_mm() const { return worth / worth_per_mm; }
     };
     static_assert(sizeof(Near) == 12);
+    // How far motors can have turned after more and more ticks: from rest, and more by what a speed adds of
+    // itself. Arrays, so that all of them are compared at once.
+    struct Reaches {
+        static constexpr size_t count = 16;
+        using Row = std::array<double, count>;
+        static constexpr Row ticks = {4,  8,  12, 16, 20, 24,  28,  32,
+                                      40, 48, 64, 80, 96, 128, 192, longest_ticks};
+        Row from_rest_rad{}, coasting_ticks{};
+    };
+    // Of one arm or two together, what makes a bound of it.
+    struct Movers {
+        double lever_mm = 0.0, speed_mm = 0.0, pushed_mm = 0.0;
+    };
+    double bound_mm(const Movers &m, size_t k) const {
+        return reaches_.from_rest_rad[k] * m.lever_mm + reaches_.coasting_ticks[k] * m.speed_mm +
+               Reaches::ticks[k] * m.pushed_mm;
+    }
     // Those of positioner i.
     std::span<Near> near(size_t i) {
         return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};
     }
-    struct Levers { // mm of an arm for a motor rad of its gears
-        double alpha, beta;
+    struct Levers { // mm of an arm for a rad of its motors
+        double alpha = 0.0, beta = 0.0;
     };
     struct Touched { // the other body of a contact
         uint32_t number;
@@ -168,14 +214,22 @@ class Neighbours {
         Closest closest;
     };
     double reach_mm(size_t i) const;
-    void find_speeds(const std::vector<Give> &gives);
+    bool allow_speed(const SpeedBound &speed);
+    void find_reaches();
+    // That a point of an arm moves at most in a tick while another pushes it: as fast as that one, and by its
+    // own motors.
+    double pushed_mm(size_t i) const { return 2.0 * limit_rad_ * (levers_mm_[i].alpha + levers_mm_[i].beta); }
+    void add_mover(Movers &movers, size_t i, const Travel &now) const;
+    uint64_t free_ticks(const Movers &movers, double apart_mm) const;
+    void hasten(size_t i, size_t other, uint64_t tick);
     void add_near(size_t number);
     void find_neighbours();
     double softness_mm_per_N(size_t i, const Pose &pose, const ContactPoint &m) const;
     Touched body(uint32_t number, const std::vector<Pose> &poses) const;
+    double loose_mm(uint32_t other) const;
     double touch(Look &look, const Touched &body) const;
     double apart_mm(Look &look, Near &near, double travelled_mm) const;
-    void plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const;
+    void plan_look(const Look &look, Near &near, double apart_mm) const;
     void press(Look &look, const Touched &body, const Place &at) const;
 
     std::vector<Arm> arms_;
@@ -185,10 +239,14 @@ class Neighbours {
         double rad_per_Nm[2];
     };
     std::vector<Compliance> compliances_; // of the arms
-    std::vector<double> most_mm_;         // that a point of an arm moves in a tick
-    std::vector<Near> near_;              // of all, one after the other
-    std::vector<uint32_t> first_near_;    // of each, and one more
+    double scale_ = 1.0;                  // of every bound
+    // the most that a motor turns in a tick, and the time constant with which any can come to that
+    double limit_rad_ = 0.0, decay_ticks_ = 1e9;
+    Reaches reaches_;
+    double loose_mm_ = 0.0; // by which a point of any arm may be off what its motors say
     std::vector<Levers> levers_mm_;
+    std::vector<Near> near_;           // of all, one after the other
+    std::vector<uint32_t> first_near_; // of each, and one more
     // tick before which nothing can touch positioner i; and before which nothing asks where it is
     std::vector<uint64_t> next_look_, next_exact_;
 };

@@ -111,8 +111,17 @@ class Plant {
     double deflection_rad(size_t axis) const;
     // B where the gear is, motor rad.
     double backlash_rad(size_t axis) const;
-    // Of the rotor: nothing drives it faster.
-    double speed_limit_rad_s(size_t axis) const;
+    // The most that the output turns for a rad of the motor, anywhere.
+    double output_per_motor(size_t axis) const;
+    // By how much the teeth may seat off the middle, output rad.
+    double seat_limit_rad(size_t axis) const;
+    // By how much a rotor would turn in a tick if it went on, and if what moves with it were the rotor alone:
+    // it is no faster. Rad.
+    double motor_turn_rad(Place at) const {
+        const AxisGroup &g = groups_[at.group];
+        const float step_rad = g.p_Nms[at.lane] * g.step_per_p_free[at.lane];
+        return static_cast<double>(step_rad < 0.0f ? -step_rad : step_rad) * substeps_.all;
+    }
     // Deflection of the output for a torque there, Eq. 5a.
     double compliance_rad_per_Nm(size_t axis) const { return 1.0 / param(axis, &PlantParams::stiffness); }
 

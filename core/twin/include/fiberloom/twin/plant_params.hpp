@@ -62,4 +62,11 @@ inline constexpr PlantParamInfo plant_param_infos[] = {
 inline constexpr int plant_param_count = sizeof plant_param_infos / sizeof *plant_param_infos;
 static_assert(sizeof(PlantParams) == plant_param_count * sizeof(double));
 
+// Of a rotor's speed, whatever its bridge does and whatever acts on its gear: one at w0 is at most at
+// limit - (limit - |w0|) exp(-t / time constant) after t, and none ever goes faster than the limit.
+struct SpeedBound {
+    double limit_rad_s = 0.0, time_constant_s = 1.0;
+};
+SpeedBound speed_bound(const PlantParams &params);
+
 } // namespace fl::twin

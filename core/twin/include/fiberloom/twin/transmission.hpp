@@ -133,6 +133,9 @@ double gear_of_output(const Cell &cell, double output_rad);
 // The output angle of a gear angle, the inverse.
 double output_of_gear(const Cell &cell, double gear_rad);
 
+// The most that the output turns for a rad of the motor, in either contact, anywhere.
+double output_per_motor(const Gear &gear, double gear_ratio);
+
 // Everywhere rising in both contacts, and B never negative: nullptr, or what is wrong.
 const char *transmission_fault(const Transmission &t, double gear_ratio);
 

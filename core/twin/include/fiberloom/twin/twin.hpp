@@ -37,7 +37,8 @@ struct TwinSetup {
     uint64_t seed = 0;
     int threads = 1;
     Substeps substeps;
-    std::string kernel; // "" for the best
+    std::string kernel;       // "" for the best
+    double bound_scale = 1.0; // of Neighbours: above 1 shorter slices, the same bytes
 };
 
 struct Reply {
@@ -110,6 +111,11 @@ class Twin {
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;
     uint64_t ticks_run() const;
+    // Slices of time in which groups of positioners did not wait for each other, so far.
+    uint64_t slices() const;
+    // By positioner: the farthest that a point of its arms can come within so many ticks from now, whatever
+    // it is told, unless another begins to push it: Neighbours::bound_mm.
+    std::vector<double> bounds_mm(uint64_t ticks) const;
     // Memory of everything, shared among all, without the firmware's own state.
     size_t bytes_per_positioner() const;
 

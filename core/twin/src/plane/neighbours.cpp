@@ -1,7 +1,6 @@
 #include "fiberloom/twin/neighbours.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <stdexcept>
 
@@ -33,7 +32,9 @@ Vec2 follow(Vec2 before_N, Vec2 aim_N, double share) {
     return {before_N.x + share * step_N.x, before_N.y + share * step_N.y};
 }
 
-constexpr uint64_t longest_ticks = 256;
+// A pair that would end such a slice is looked at by its poses, where slices are longer than to the next
+// look.
+constexpr uint64_t slice_of_exact_looks = 32;
 constexpr uint32_t never = UINT32_MAX;
 constexpr double most_free_ticks = 1e9; // Near keeps 32 bits of a tick
 constexpr double um_per_mm = 1e3;
@@ -51,39 +52,60 @@ uint32_t um_above(double travels_mm) {
     return static_cast<uint32_t>(whole + static_cast<int64_t>(static_cast<double>(whole) < um));
 }
 
-// A sync point after `tick`, no later than the first after these more ticks in which two cannot touch. All
-// pairs are looked at in the same ticks, as far as may be: what that needs is then worked out once.
+// The last sync point after `tick` that is not later than the first after these ticks, in which two cannot
+// touch.
 uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
-    const uint64_t stride = std::bit_floor(std::clamp(free_ticks, sync_ticks, longest_ticks));
-    return (tick + std::max(free_ticks, stride)) & ~(stride - 1);
+    return (tick + std::max(free_ticks, sync_ticks)) & ~(sync_ticks - 1);
 }
 
 } // namespace
 
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
-                       std::vector<Give> gives)
-    : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), next_look_(arms_.size(), 0),
-      next_exact_(arms_.size(), 0) {
+                       const std::vector<Give> &gives, double bound_scale)
+    : arms_(std::move(arms)), obstacles_(std::move(obstacles)), body_(body), scale_(bound_scale),
+      levers_mm_(arms_.size()), next_look_(arms_.size(), 0), next_exact_(arms_.size(), 0) {
     for (const Give &g : gives)
         compliances_.push_back({{g.compliance_rad_per_Nm[0], g.compliance_rad_per_Nm[1]}});
     compliances_.shrink_to_fit();
-    find_speeds(gives);
+    for (size_t i = 0; i < arms_.size(); ++i) allow(i, gives[i]);
     find_neighbours();
 }
 
 double Neighbours::reach_mm(size_t i) const { return arms_[i].l_alpha_mm + body_.to_mm + body_.radius_mm; }
 
-// Twice what its motors can do: an arm that is pushed moves as fast as the one that pushes it.
-void Neighbours::find_speeds(const std::vector<Give> &gives) {
-    most_mm_.reserve(arms_.size());
-    levers_mm_.reserve(arms_.size());
-    for (size_t i = 0; i < arms_.size(); ++i) {
-        const double *w = gives[i].speed_limit_rad_s;
-        const double *turn = gives[i].output_per_gear;
-        const double length_mm = arms_[i].l_alpha_mm + body_.to_mm;
-        most_mm_.push_back(2.0 * (w[0] * length_mm + w[1] * body_.to_mm) * tick_s);
-        levers_mm_.push_back({turn[0] * length_mm, turn[1] * body_.to_mm});
+// The highest limit and the shortest time constant of all bound each of them. Tells whether it changes them.
+bool Neighbours::allow_speed(const SpeedBound &speed) {
+    constexpr double spare = 1.01; // for the plant's own steps
+    const double limit_rad = spare * scale_ * speed.limit_rad_s * tick_s;
+    const double decay_ticks = speed.time_constant_s / tick_s;
+    if (limit_rad <= limit_rad_ && decay_ticks >= decay_ticks_) return false;
+    limit_rad_ = std::max(limit_rad_, limit_rad);
+    decay_ticks_ = std::min(decay_ticks_, decay_ticks);
+    return true;
+}
+
+// A motor at w0 turns by (t - T) limit + T w0 at most, T = tau (1 - exp(-t/tau)).
+void Neighbours::find_reaches() {
+    for (size_t k = 0; k < Reaches::count; ++k) {
+        const double t = Reaches::ticks[k], coasting = decay_ticks_ * -std::expm1(-t / decay_ticks_);
+        reaches_.from_rest_rad[k] = limit_rad_ * (t - coasting);
+        reaches_.coasting_ticks[k] = scale_ * coasting;
     }
+}
+
+bool Neighbours::allow(size_t i, const Give &give) {
+    const double beta_mm = std::max(std::abs(body_.from_mm), std::abs(body_.to_mm));
+    const double alpha_mm = arms_[i].l_alpha_mm + beta_mm;
+    Levers &levers = levers_mm_[i];
+    levers.alpha = std::max(levers.alpha, give.output_per_motor[0] * alpha_mm);
+    levers.beta = std::max(levers.beta, give.output_per_motor[1] * beta_mm);
+    const double loose_mm = give.loose_rad[0] * alpha_mm + give.loose_rad[1] * beta_mm;
+    bool wider = loose_mm > loose_mm_;
+    loose_mm_ = std::max(loose_mm_, loose_mm);
+    for (const SpeedBound &speed : give.speed)
+        if (allow_speed(speed)) wider = true;
+    if (wider) find_reaches();
+    return wider;
 }
 
 void Neighbours::add_near(size_t number) {
@@ -111,8 +133,8 @@ void Neighbours::find_neighbours() {
 
 size_t Neighbours::bytes() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
-    return held(arms_) + held(obstacles_) + held(compliances_) + held(most_mm_) + held(near_) +
-           held(first_near_) + held(levers_mm_) + held(next_look_) + held(next_exact_);
+    return held(arms_) + held(obstacles_) + held(compliances_) + held(near_) + held(first_near_) +
+           held(levers_mm_) + held(next_look_) + held(next_exact_);
 }
 
 uint64_t Neighbours::next_due() const {
@@ -146,7 +168,7 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
     const double depth_mm = body.apart_mm - c.distance_mm;
     if (depth_mm <= 0.0 && old == look.before.end()) return;
 
-    const Pose &pose = look.poses[look.i];
+    const Pose &pose = look.at.poses[look.i];
     const Vec2 normal = away(c.on_second, c.on_first, c.distance_mm, look.i < body.number);
     double give = softness_mm_per_N(look.i, pose, {c.on_first, normal, depth_mm});
     if (body.pose != nullptr)
@@ -166,12 +188,12 @@ void Neighbours::press(Look &look, const Touched &body, const Place &at) const {
 // Capsules that do not cross touch at ends of their centre lines; side by side, at two of them. Returns
 // how far apart the two are, whatever springs back.
 double Neighbours::touch(Look &look, const Touched &body) const {
-    const Segment &mine = look.poses[look.i].line;
+    const Segment &mine = look.at.poses[look.i].line;
     const double distance_mm = segment_distance(mine, body.line);
     const double gap_mm = distance_mm - body.apart_mm;
     if (gap_mm >= 0.0 && !in_touch(look.before, body.number)) {
         // the same bits from both sides
-        return gap_mm - (body.spring_mm + look.poses[look.i].spring_mm);
+        return gap_mm - (body.spring_mm + look.at.poses[look.i].spring_mm) - loose_mm(body.number);
     }
     const Closest places[] = {closest_point(mine.a, body.line), closest_point(mine.b, body.line),
                               turned(closest_point(body.line.a, mine)),
@@ -193,50 +215,104 @@ Neighbours::Touched Neighbours::body(uint32_t number, const std::vector<Pose> &p
     return {number, o.centre_line_mm, body_.radius_mm + o.radius_mm, 0.0, nullptr};
 }
 
+double Neighbours::loose_mm(uint32_t other) const {
+    return other < arms_.size() ? 2.0 * loose_mm_ : loose_mm_;
+}
+
 // How far apart two are at least. Poses are asked for where that may be nothing at the next sync point.
 double Neighbours::apart_mm(Look &look, Near &near, double travelled_mm) const {
     if (near.exact == 0)
         return static_cast<double>(static_cast<int32_t>(near.meet_um - um_above(travelled_mm))) / um_per_mm;
-    const double apart_mm = touch(look, body(static_cast<uint32_t>(near.number), look.poses));
+    const double apart_mm = touch(look, body(static_cast<uint32_t>(near.number), look.at.poses));
     near.meet_um = um_below(apart_mm + travelled_mm);
     near.set_worth(0.5 * apart_mm);
     return apart_mm;
 }
 
-void Neighbours::plan_look(const Look &look, Near &near, double apart_mm, uint64_t tick) const {
-    const double other_mm = near.number < arms_.size() ? most_mm_[near.number] : 0.0;
-    const double free = std::max(apart_mm, 0.0) / (most_mm_[look.i] + other_mm);
-    const auto free_ticks = static_cast<uint64_t>(static_cast<int64_t>(std::min(free, most_free_ticks)));
+void Neighbours::add_mover(Movers &movers, size_t i, const Travel &now) const {
+    if (now.speed_mm < 0.0) {
+        movers.pushed_mm += pushed_mm(i);
+    } else {
+        movers.lever_mm += levers_mm_[i].alpha + levers_mm_[i].beta;
+        movers.speed_mm += now.speed_mm;
+    }
+}
+
+double Neighbours::bound_mm(size_t i, const Travel &now, uint64_t ticks) const {
+    Movers mover;
+    add_mover(mover, i, now);
+    const auto reach = std::find_if(Reaches::ticks.begin(), Reaches::ticks.end(),
+                                    [ticks](double t) { return t >= static_cast<double>(ticks); });
+    if (reach == Reaches::ticks.end()) throw std::invalid_argument("bound: 256 ticks at most");
+    return bound_mm(mover, static_cast<size_t>(reach - Reaches::ticks.begin())) + loose_mm_;
+}
+
+// For how long they come no further than that: bounds grow.
+uint64_t Neighbours::free_ticks(const Movers &movers, double apart_mm) const {
+    size_t within = 0;
+    for (size_t k = 0; k < Reaches::count; ++k) within += bound_mm(movers, k) <= apart_mm ? 1 : 0;
+    if (within == 0) return 0;
+    if (within < Reaches::count) return static_cast<uint64_t>(Reaches::ticks[within - 1]);
+    const double left_mm = apart_mm - bound_mm(movers, Reaches::count - 1);
+    const double free = left_mm / (limit_rad_ * movers.lever_mm + movers.pushed_mm);
+    return longest_ticks + static_cast<uint64_t>(static_cast<int64_t>(std::min(free, most_free_ticks)));
+}
+
+void Neighbours::plan_look(const Look &look, Near &near, double apart_mm) const {
+    Movers movers;
+    add_mover(movers, look.i, look.at.travels[look.i]);
+    if (near.number < arms_.size()) add_mover(movers, near.number, look.at.travels[near.number]);
+    const uint64_t free = free_ticks(movers, apart_mm);
     const bool touching = in_touch(look.now, static_cast<uint32_t>(near.number));
-    const bool close = touching || free_ticks < sync_ticks || apart_mm < near.worth_mm();
+    const uint64_t soon = look.at.ahead == 0 ? sync_ticks : slice_of_exact_looks;
+    const bool close = touching || free < soon || apart_mm < near.worth_mm();
     near.exact = close ? 1 : 0;
-    near.next_look = static_cast<uint32_t>(touching ? tick + 1 : sync_after(tick, free_ticks));
+    near.next_look = static_cast<uint32_t>(touching ? look.at.tick + 1 : sync_after(look.at.tick, free));
 }
 
 void Neighbours::plan_first_looks(const std::vector<Pose> &poses) {
     const std::vector<Contact> none;
+    const std::vector<Travel> at_rest(arms_.size());
     for (size_t i = 0; i < arms_.size(); ++i) {
-        Look look{i, poses, none, {}, {}};
+        Look look{i, {poses, at_rest, 0, 0}, none, {}, {}};
         for (Near &near : near(i)) {
             const Touched other = body(static_cast<uint32_t>(near.number), poses);
             if (segment_distance(poses[i].line, other.line) < other.apart_mm) continue;
-            plan_look(look, near, apart_mm(look, near, 0.0), 0);
+            plan_look(look, near, apart_mm(look, near, 0.0));
         }
     }
 }
 
-Push Neighbours::push(size_t i, const std::vector<Pose> &poses, const std::vector<double> &travels_mm,
-                      uint64_t tick, std::vector<Contact> &contacts) {
-    if (tick < next_look_[i]) return {};
-    Look look{i, poses, contacts, {}, {}};
+void Neighbours::disturb(size_t i, uint64_t tick) {
+    for (const Near &near : near(i)) {
+        hasten(i, near.number, tick);
+        if (near.number < arms_.size()) hasten(near.number, i, tick);
+    }
+}
+
+// One look of arm i.
+void Neighbours::hasten(size_t i, size_t other, uint64_t tick) {
+    const auto pairs = near(i);
+    const auto found =
+        std::find_if(pairs.begin(), pairs.end(), [other](const Near &n) { return n.number == other; });
+    const uint64_t first = next_look_[i], due = first + found->ticks_after(first);
+    found->exact = 1;
+    found->next_look = static_cast<uint32_t>(std::min(due, tick));
+    next_look_[i] = std::min(first, tick);
+    next_exact_[i] = std::min({next_exact_[i], due, tick});
+}
+
+Push Neighbours::push(size_t i, const Moment &at, std::vector<Contact> &contacts) {
+    if (at.tick + at.ahead < next_look_[i]) return {};
+    Look look{i, at, contacts, {}, {}};
     // ticks of looks are counted from the first of all pairs of this positioner
     const uint64_t first = next_look_[i];
-    const auto passed = static_cast<uint32_t>(tick - first);
+    const auto passed = static_cast<uint32_t>(at.tick + at.ahead - first);
     uint32_t next = never, exact = never;
     for (Near &near : near(i)) {
         if (near.ticks_after(first) <= passed) {
-            const double other_mm = near.number < arms_.size() ? travels_mm[near.number] : 0.0;
-            plan_look(look, near, apart_mm(look, near, travels_mm[i] + other_mm), tick);
+            const double other_mm = near.number < arms_.size() ? at.travels[near.number].way_mm : 0.0;
+            plan_look(look, near, apart_mm(look, near, at.travels[i].way_mm + other_mm));
         }
         const uint32_t after = near.ticks_after(first);
         next = std::min(next, after);
