@@ -125,7 +125,7 @@ void Twin::set_faults(size_t i, const PositionerFaults &faults) {
     p.wake(s_->now);
     p.set_faults(faults);
     for (size_t axis = 0; axis < FL_AXES; ++axis) s_->plant.set_faults(2 * i + axis, faults.axes[axis]);
-    s_->disturb(i);
+    s_->learn(i);
 }
 
 const PositionerFaults &Twin::faults(size_t i) const { return s_->at(i).faults(); }
@@ -133,13 +133,13 @@ const PositionerFaults &Twin::faults(size_t i) const { return s_->at(i).faults()
 void Twin::set_transmission(size_t i, int axis, const Transmission &transmission) {
     s_->at(i).wake(s_->now);
     s_->plant.set_transmission(2 * i + static_cast<size_t>(axis), transmission);
-    s_->disturb(i);
+    s_->learn(i);
 }
 
 void Twin::set_params(size_t i, int axis, const PlantParams &params) {
     s_->at(i).wake(s_->now);
     s_->plant.set_params(2 * i + static_cast<size_t>(axis), params);
-    s_->disturb(i);
+    s_->learn(i);
 }
 
 void Twin::power_cycle(size_t i, bool bootloader) {

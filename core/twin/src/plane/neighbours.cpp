@@ -93,15 +93,26 @@ void Neighbours::find_reaches() {
     }
 }
 
-bool Neighbours::allow(size_t i, const Give &give) {
+// From the axes of an arm to its farthest point.
+Neighbours::Levers Neighbours::longest_mm(size_t i) const {
     const double beta_mm = std::max(std::abs(body_.from_mm), std::abs(body_.to_mm));
-    const double alpha_mm = arms_[i].l_alpha_mm + beta_mm;
-    Levers &levers = levers_mm_[i];
-    levers.alpha = std::max(levers.alpha, give.output_per_motor[0] * alpha_mm);
-    levers.beta = std::max(levers.beta, give.output_per_motor[1] * beta_mm);
-    const double loose_mm = give.loose_rad[0] * alpha_mm + give.loose_rad[1] * beta_mm;
-    bool wider = loose_mm > loose_mm_;
+    return {arms_[i].l_alpha_mm + beta_mm, beta_mm};
+}
+
+bool Neighbours::allow_loose(size_t i, Angles loose) {
+    const Levers longest = longest_mm(i);
+    const double loose_mm = loose.alpha_rad * longest.alpha + loose.beta_rad * longest.beta;
+    const bool wider = loose_mm > loose_mm_;
     loose_mm_ = std::max(loose_mm_, loose_mm);
+    return wider;
+}
+
+bool Neighbours::allow(size_t i, const Give &give) {
+    const Levers longest = longest_mm(i);
+    Levers &levers = levers_mm_[i];
+    levers.alpha = std::max(levers.alpha, give.output_per_motor[0] * longest.alpha);
+    levers.beta = std::max(levers.beta, give.output_per_motor[1] * longest.beta);
+    bool wider = false;
     for (const SpeedBound &speed : give.speed)
         if (allow_speed(speed)) wider = true;
     if (wider) find_reaches();

@@ -12,8 +12,7 @@ constexpr uint64_t bounce_ticks = 80; // what comes back within 40 ms is the sam
 
 } // namespace
 
-Give give_of(const Plant &plant, size_t i, LoadTorque load_Nm) {
-    const double loads_Nm[FL_AXES] = {load_Nm.alpha_Nm, load_Nm.beta_Nm};
+Give give_of(const Plant &plant, size_t i) {
     Give g;
     for (size_t k = 0; k < FL_AXES; ++k) {
         const size_t axis = 2 * i + k;
@@ -22,8 +21,6 @@ Give give_of(const Plant &plant, size_t i, LoadTorque load_Nm) {
         g.compliance_rad_per_Nm[k] = plant.compliance_rad_per_Nm(axis);
         g.speed[k] = speed_bound(plant.params(axis));
         g.output_per_motor[k] = follows * plant.output_per_motor(axis);
-        // from one end to the other
-        g.loose_rad[k] = 2.0 * plant.seat_limit_rad(axis) + loads_Nm[k] * g.compliance_rad_per_Nm[k];
     }
     return g;
 }
@@ -153,25 +150,40 @@ void Twin::State::apply_torque(size_t i, const Push &push) {
 // Something else than neighbours pulls at the arms of positioner i from now on.
 void Twin::State::bend(size_t i) {
     apply_torque(i, positioners[i].touch().push);
+    if (neighbours.allow_loose(i, loose(i))) disturb_all();
+    disturb(i);
+}
+
+// Positioner i is no longer what it was.
+void Twin::State::learn(size_t i) {
+    const bool faster = neighbours.allow(i, give_of(plant, i)), looser = neighbours.allow_loose(i, loose(i));
+    if (faster || looser) disturb_all();
     disturb(i);
 }
 
 // Whatever is known of how positioner i moves is out of date: it is looked at at the first sync point from
 // now on.
 void Twin::State::disturb(size_t i) {
-    const uint64_t sync = (now + sync_ticks - 1) / sync_ticks * sync_ticks;
-    if (neighbours.allow(i, give_of(plant, i, load_range(i))))
-        for (size_t k = 0; k < count; ++k) neighbours.disturb(k, sync);
-    neighbours.disturb(i, sync);
+    neighbours.disturb(i, (now + sync_ticks - 1) / sync_ticks * sync_ticks);
 }
 
-LoadTorque Twin::State::load_range(size_t i) const {
-    const auto &loads = positioners[i].loads;
-    if (!loads) return {};
-    const auto turn_rad = [&](size_t axis) {
-        return plant.param(axis, &PlantParams::stop_max) - plant.param(axis, &PlantParams::stop_min);
-    };
-    return loads->range({turn_rad(2 * i), turn_rad(2 * i + 1)}, gravity);
+void Twin::State::disturb_all() {
+    for (size_t i = 0; i < count; ++i) disturb(i);
+}
+
+// Where its teeth seat and what its loads bend, from one end to the other.
+Angles Twin::State::loose(size_t i) const {
+    Angles bent;
+    if (const auto &loads = positioners[i].loads) {
+        const auto turn_rad = [&](size_t axis) {
+            return plant.param(axis, &PlantParams::stop_max) - plant.param(axis, &PlantParams::stop_min);
+        };
+        const LoadTorque range = loads->range({turn_rad(2 * i), turn_rad(2 * i + 1)}, gravity);
+        bent.alpha_rad = range.alpha_Nm * plant.compliance_rad_per_Nm(2 * i);
+        bent.beta_rad = range.beta_Nm * plant.compliance_rad_per_Nm(2 * i + 1);
+    }
+    return {bent.alpha_rad + 2.0 * plant.seat_limit_rad(2 * i),
+            bent.beta_rad + 2.0 * plant.seat_limit_rad(2 * i + 1)};
 }
 
 void Twin::State::put_torque(size_t i) {

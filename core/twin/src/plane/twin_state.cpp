@@ -69,6 +69,7 @@ Twin::State::State(const TwinSetup &s)
         std::copy_n(plant.group(g).gear_rad, lane_count, &gears_rad[g * lane_count]);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
+    for (size_t i = 0; i < count; ++i) neighbours.allow_loose(i, loose(i));
     if (feel) neighbours.plan_first_looks(seen);
 }
 

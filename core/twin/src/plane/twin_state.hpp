@@ -14,8 +14,8 @@ namespace fl::twin {
 
 inline constexpr uint16_t no_index = UINT16_MAX;
 
-// How the arms of positioner i give way and how they can move. load_Nm: between any two torques of its loads.
-Give give_of(const Plant &plant, size_t i, LoadTorque load_Nm = {});
+// How the arms of positioner i give way and how they can move.
+Give give_of(const Plant &plant, size_t i);
 
 struct Twin::State {
     // what the groups of a batch do: show where they are, look at their neighbours, run, or follow them: look
@@ -41,7 +41,9 @@ struct Twin::State {
     void apply_torque(size_t i, const Push &push);
     void bend(size_t i);
     void disturb(size_t i);
-    LoadTorque load_range(size_t i) const;
+    void disturb_all();
+    void learn(size_t i);
+    Angles loose(size_t i) const;
     void put_torque(size_t i);
     Angles at_rest(size_t i) const;
     void publish(size_t i);

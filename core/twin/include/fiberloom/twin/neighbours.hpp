@@ -38,7 +38,6 @@ struct Give {
     double compliance_rad_per_Nm[2] = {0.0, 0.0};
     SpeedBound speed[2];                     // of its motors
     double output_per_motor[2] = {0.0, 0.0}; // the most that the output turns for a rad of its motor
-    double loose_rad[2] = {0.0, 0.0};        // by which the output may lie off what its motor says
 };
 
 // Two bodies began to touch in this tick.
@@ -136,6 +135,9 @@ class Neighbours {
     // Arm i can do this from now on beside what it could. True where that makes bounds of all arms wider:
     // then none of them is to be trusted, see disturb(). Compliances stay.
     bool allow(size_t i, const Give &give);
+    // So far apart may two places be in which the output is seen for the same angle of its motors. True as
+    // above.
+    bool allow_loose(size_t i, Angles loose);
 
     // Memory of all positioners together.
     size_t bytes() const;
@@ -214,6 +216,7 @@ class Neighbours {
         Closest closest;
     };
     double reach_mm(size_t i) const;
+    Levers longest_mm(size_t i) const;
     bool allow_speed(const SpeedBound &speed);
     void find_reaches();
     // That a point of an arm moves at most in a tick while another pushes it: as fast as that one, and by its
