@@ -11,15 +11,22 @@ namespace {
 // What one beginning takes at most: repairs, work as Repair::work counts it, nodes of joint searches.
 constexpr int repairs_of_a_knot = 300, joint_nodes_of_a_knot = 20000;
 constexpr std::int64_t work_of_a_knot = 700000;
-constexpr int repairs_of_a_squeeze = 25;
-constexpr int most_failures = 2; // of squeezes one after the other, before this order of the arms is given up
 // The knot of a pair that resists grows, or begins anew, each time after a part of the repairs that are
 // otherwise made in vain. It grows where no more pairs resist, so often in vain before it begins anew.
 constexpr int share_before_anew = 6, few_pairs = 3, grows_in_vain = 2;
-// A knot that grows: how many it may be, how many join it at once, repairs and work for one beginning, for
-// all others to come back, and for the knot to the end.
-constexpr int most_of_a_knot = 12, join_at_once = 2, repairs_of_a_return = 40, repairs_alone = 12;
-constexpr std::int64_t work_of_a_beginning = 300000, work_of_a_return = 40000, work_of_growing = 800000;
+// A knot that grows: how many it may be, how many join it at once, and work for it to the end.
+constexpr int most_of_a_knot = 12, join_at_once = 2;
+constexpr std::int64_t work_of_growing = 800000;
+// Of it alone: how often it tries from the paths that they have, repairs and work for that, work where it
+// begins anew, and to the end of its hurry; repairs of each attempt to be earlier, and how many of these may
+// be in vain.
+constexpr int times_from_here = 3, repairs_in_time = 60, repairs_in_the_end = 40, repairs_alone = 12,
+              most_failures = 2;
+constexpr std::int64_t work_in_time = 200000, work_of_a_beginning = 300000, work_alone = 400000;
+// For all others to come back: how often those go round that are in the way, beyond how many pairs more are
+// of no use, repairs and work.
+constexpr int times_round = 2, most_pairs_of_a_return = 3, repairs_of_a_return = 40;
+constexpr std::int64_t work_of_a_return = 80000;
 // The same where it shall part two: then the others have time to go round it.
 constexpr int repairs_of_a_part = 100;
 constexpr std::int64_t work_of_a_return_in_time = 150000, work_of_parting = 1000000;
@@ -100,31 +107,12 @@ bool Repair::part_by_growing() {
         if (!paths_.at(i).still) wish.first.push_back(i);
     const auto before = deadlines();
     paths_.note_changes();
-    pairs_by_flood_ = alone_ = true;
+    alone_ = parts_two_ = true;
     const bool done = grow_knot(wish);
-    pairs_by_flood_ = alone_ = false;
+    alone_ = parts_two_ = false;
     paths_.end_changes(done);
     set_deadlines(before);
     return done;
-}
-
-// The last of those that have changed, if it arrives at a step or later.
-PathIndex Repair::last_changed(int step) const {
-    PathIndex last;
-    for (const PathIndex i : paths_.changed())
-        if (paths_.arrival(i) >= (last == PathIndex() ? step : paths_.arrival(last) + 1)) last = i;
-    return last;
-}
-
-// Whether those that have changed come to arrive before a step, one after the other.
-bool Repair::squeeze_changed(int step) {
-    for (int failed = 0; failed <= most_failures;) {
-        const PathIndex last = last_changed(step);
-        if (last == PathIndex()) return true;
-        const int deadline = failed == 0 ? step - 1 : (step - 1 + paths_.arrival(last)) / 2;
-        failed = squeeze(last, deadline, repairs_of_a_squeeze) ? 0 : failed + 1;
-    }
-    return false;
 }
 
 // All others that move and that the knot can meet.
@@ -149,7 +137,14 @@ void Repair::come_back(const List<PathIndex> &others) {
     for (const PathIndex i : others) paths_.count_conflicts(i);
 }
 
-// Those that conflict and are not of a knot, those with most conflicts first. But for some that conflict with
+int Repair::steps_in_conflict(PathIndex i) const {
+    int sum = 0;
+    for (const PathConflict &c : paths_.at(i).conflicts) sum += c.steps;
+    return sum;
+}
+
+// Those that conflict and are not of a knot, those that do for most steps first, or with most others where it
+// parts two. But for some that conflict with
 // none of it.
 List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot, const List<PathIndex> &but) const {
     const auto met = [&](PathIndex i) {
@@ -163,7 +158,8 @@ List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot, const List<Path
     for (const PathIndex i : paths_.places())
         if (!knot.contains(i) && met(i)) out.push_back(i);
     std::stable_sort(out.begin(), out.end(), [&](PathIndex i, PathIndex j) {
-        return paths_.at(i).conflicts.size() > paths_.at(j).conflicts.size();
+        if (parts_two_) return paths_.at(i).conflicts.size() > paths_.at(j).conflicts.size();
+        return steps_in_conflict(i) > steps_in_conflict(j);
     });
     return out;
 }
@@ -194,10 +190,37 @@ void Repair::set_deadlines(const List<int, PathIndex> &deadlines) {
         paths_.at(i).deadline = std::max(deadlines[i], paths_.arrival(i));
 }
 
+// A knot, all others absent: those that are late look for paths before a step, then repairs. Whether none
+// conflict.
+bool Repair::part_in_time(const List<PathIndex> &knot, int step, int repairs) {
+    for (const PathIndex i : knot) {
+        paths_.at(i).deadline = step - 1;
+        paths_.at(i).tries = paths_.at(i).joint_in_vain = 0;
+    }
+    for (const PathIndex i : knot) {
+        if (paths_.arrival(i) < step) continue;
+        ++statistics_.searches;
+        if (!paths_.seek(i, {}, any_cost, {}, search_)) return false;
+        paths_.count_conflicts(i);
+    }
+    most_work_ = work() + work_in_time;
+    const bool done = rounds(repairs);
+    most_work_ = unlimited;
+    return done;
+}
+
+// A knot, all others absent: some of it begin anew, with plenty of time. Whether none conflict.
+bool Repair::begin_alone(const List<PathIndex> &knot, const List<PathIndex> &some, int wanted_steps) {
+    for (const PathIndex i : knot) paths_.at(i).deadline = wanted_steps;
+    last_steps_ = most_steps_;
+    const bool apart = begin_anew(some, 0, work_of_a_beginning);
+    last_steps_ = 0;
+    return apart;
+}
+
 // A knot, all others absent: by halves, until that was in vain a few times, or has taken enough.
-void Repair::hurry_knot(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work) {
-    const std::int64_t before = work();
-    for (int low = wanted_steps, failed = 0; failed <= most_failures && work() - before < most_work;) {
+void Repair::hurry_by_halves(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work) {
+    for (int low = wanted_steps, failed = 0; failed <= most_failures && work() < most_work;) {
         const PathIndex last = last_of(knot);
         const int arrival = paths_.arrival(last);
         if (arrival <= low) return;
@@ -208,19 +231,44 @@ void Repair::hurry_knot(const List<PathIndex> &knot, int wanted_steps, std::int6
     }
 }
 
-// A knot, all others absent: whether its paths do not conflict, and all end before a step. Those that have
-// joined it last begin anew; where that fails all of it does.
+// The same, and where that is too late by what is left to a step. Whether all end before it.
+bool Repair::hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::int64_t most_work) {
+    hurry_by_halves(knot, wish.wanted_steps, most_work);
+    if (paths_.arrival(last_of(knot)) < wish.step) return true;
+    paths_.note_changes();
+    const bool done = part_in_time(knot, wish.step, repairs_in_the_end);
+    paths_.end_changes(done);
+    return done;
+}
+
+// A knot, all others absent: whether its paths do not conflict, and all end before a step. It tries that a
+// few times from the paths that they have, which is soon seen; then those that have joined it last, or all,
+// begin anew.
 bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish) {
+    const int from_here = knot.size() == 1 ? 0 : times_from_here;
+    for (int k = 0; k <= from_here && (k == 0 || !enough()); ++k) {
+        const std::int64_t most_work = work() + work_alone;
+        paths_.note_changes();
+        const bool apart = k < from_here
+                               ? part_in_time(knot, wish.step, repairs_in_time)
+                               : begin_alone(knot, random_.chance(50) ? joined : knot, wish.wanted_steps);
+        const bool done = apart && hurry_knot(knot, wish, most_work);
+        paths_.end_changes(done);
+        if (done) return true;
+    }
+    return false;
+}
+
+// The same where it parts two. Those that have joined it last begin anew; where that fails all of it does.
+bool Repair::part_two_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish) {
     for (const List<PathIndex> *some : {&joined, &knot}) {
         paths_.note_changes();
-        for (const PathIndex i : knot) paths_.at(i).deadline = wish.wanted_steps;
-        const int last_steps = std::exchange(last_steps_, most_steps_);
-        const bool apart = begin_anew(*some, 0, work_of_a_beginning);
-        last_steps_ = 0;
+        const int last_steps = last_steps_;
+        const bool apart = begin_alone(knot, *some, wish.wanted_steps);
         const auto before = deadlines();
-        if (apart) hurry_knot(knot, wish.wanted_steps, last_steps > 0 ? work_of_a_beginning : unlimited);
+        if (apart) hurry_by_halves(knot, wish.wanted_steps, work() + work_of_a_beginning);
         last_steps_ = last_steps;
-        if (last_steps_ > 0) set_deadlines(before);
+        set_deadlines(before);
         const bool done = apart && paths_.arrival(last_of(knot)) < wish.step;
         paths_.end_changes(done);
         if (done) return true;
@@ -229,20 +277,39 @@ bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &join
     return false;
 }
 
+// Those that conflict and are not of a knot look for other paths, one after the other.
+void Repair::go_round(const List<PathIndex> &knot) {
+    for (int k = 0; k < times_round; ++k)
+        for (const PathIndex i : in_conflict(knot)) {
+            if (paths_.at(i).still) continue;
+            ++statistics_.searches;
+            if (paths_.seek(i, {}, any_cost, {}, search_)) paths_.count_conflicts(i);
+        }
+}
+
+// Whether few enough conflict once those in the way have gone round, and what still meets is repaired; where
+// it parts two, by repairs alone.
+bool Repair::repair_return(const List<PathIndex> &knot, const Growth &wish) {
+    if (!parts_two_) {
+        go_round(knot);
+        if (paths_.conflicts() > most_pairs_of_a_return) return false;
+    }
+    most_work_ = work() + (parts_two_ ? work_of_a_return_in_time : work_of_a_return);
+    const bool none = rounds(parts_two_ ? repairs_of_a_part : repairs_of_a_return);
+    most_work_ = unlimited;
+    return none || paths_.conflicts() < wish.most_pairs;
+}
+
 // All others come back, and go round the knot, or it round them: whether few enough conflict then. If not all
 // is as before; rivals: those that conflict and are not of the knot.
 bool Repair::fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
                     List<PathIndex> &rivals) {
-    const bool in_time = last_steps_ > 0;
     paths_.note_changes();
     come_back(others);
     rivals = in_conflict(knot, wish.before);
     bool done = paths_.conflicts() < wish.most_pairs;
     if (!done && knot.size() > 1) { // one alone has been tried
-        most_work_ = work() + (in_time ? work_of_a_return_in_time : work_of_a_return);
-        done =
-            rounds(in_time ? repairs_of_a_part : repairs_of_a_return) || paths_.conflicts() < wish.most_pairs;
-        most_work_ = unlimited;
+        done = repair_return(knot, wish);
         if (const auto left = in_conflict(knot, wish.before); !left.empty()) rivals = left;
     }
     paths_.end_changes(done);
@@ -250,11 +317,22 @@ bool Repair::fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, 
     return done;
 }
 
+// The same before the middle between what the knot takes alone and the step; else before the step.
+bool Repair::fit_in_soon(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
+                         List<PathIndex> &rivals) {
+    const int soon = (std::max(paths_.arrival(last_of(knot)), wish.wanted_steps) + wish.step) / 2 + 1;
+    if (knot.size() > 1 && soon < wish.step) {
+        allow_before(soon);
+        if (fit_in(knot, others, wish, rivals)) return true;
+    }
+    allow_before(wish.step);
+    return fit_in(knot, others, wish, rivals);
+}
+
 // One or two alone, then with those that they meet and past which they find no way, and so on, until all
 // others fit in. Few are soon parted; among all their neighbours at once they seldom are.
 bool Repair::grow_knot(const Growth &wish) {
-    const bool in_time = last_steps_ > 0;
-    const std::int64_t most_work = work() + (in_time ? work_of_parting : work_of_growing);
+    const std::int64_t most_work = work() + (parts_two_ ? work_of_parting : work_of_growing);
     List<PathIndex> knot, joined = wish.first;
     bool done = false;
     while (!joined.empty() && !done && work() < most_work && !enough()) {
@@ -262,41 +340,27 @@ bool Repair::grow_knot(const Growth &wish) {
         knot.insert(knot.end(), joined.begin(), joined.end());
         const List<PathIndex> others = others_around(knot);
         leave(others);
-        if (knot.size() > most_of_a_knot || !part_alone(knot, joined, wish)) break;
-        if (!in_time) allow_before(wish.step);
+        if (knot.size() > most_of_a_knot) break;
+        if (!(parts_two_ ? part_two_alone(knot, joined, wish) : part_alone(knot, joined, wish))) break;
         List<PathIndex> rivals;
-        done = fit_in(knot, others, wish, rivals);
+        done = parts_two_ ? fit_in(knot, others, wish, rivals) : fit_in_soon(knot, others, wish, rivals);
         joined.clear();
         for (int k = 0; k < std::min(rivals.size(), join_at_once); ++k) joined.push_back(rivals[k]);
     }
     return done;
 }
 
-// The last one and its neighbours from nothing, with plenty of time, as when all began; then they hurry.
-bool Repair::begin_among_all(PathIndex last, int wanted_steps) {
-    const int best = paths_.arrival(last);
-    const List<PathIndex> knot = knot_of(last);
-    for (const PathIndex i : knot) paths_.at(i).deadline = wanted_steps;
-    last_steps_ = most_steps_;
-    const bool apart = begin_anew(knot, 0, work_of_a_knot);
-    last_steps_ = 0;
-    return apart && squeeze_changed(best);
-}
-
-// The knot of the last one from nothing, alone at first, or among all. It is kept if all arrive earlier than
-// the last one did, else all is as before.
-bool Repair::untie(PathIndex last, int wanted_steps, bool alone) {
+// The knot of the last one from nothing, alone at first. It is kept if all arrive earlier than the last one
+// did, else all is as before.
+bool Repair::grow_alone(PathIndex last, int wanted_steps) {
     if (paths_.heeds_lateness()) return false;
     const int best = paths_.arrival(last), steps = paths_.steps();
     const auto before = deadlines();
     allow_before(best);
     paths_.note_changes();
-    pairs_by_flood_ = true;
-    alone_ = alone;
-    const bool done =
-        alone ? grow_knot({{last}, best, wanted_steps, 1, {}}) : begin_among_all(last, wanted_steps);
+    alone_ = true;
+    const bool done = grow_knot({{last}, best, wanted_steps, 1, {}});
     alone_ = false;
-    pairs_by_flood_ = false;
     paths_.end_changes(done);
     if (!done) set_deadlines(before);
     if (paths_.steps() > steps) paths_.shorten();

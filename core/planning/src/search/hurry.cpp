@@ -16,18 +16,15 @@ constexpr int far_behind = 5, rounds_of_a_start = 12, starts_at_once = 12;
 constexpr int most_halvings = 4; // it tries to be earlier by all that it is behind, or a half, a quarter, ...
 constexpr int least_around = 2, most_around = 6; // of the neighbours near by, that start again with it
 // What this may take, as Repair::work counts it: so much for each step that one is too late, up to a most;
-// nothing where the plan has taken much already. Of 500; of more positioners as much more.
-constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 3000000,
-                       most_work_of_a_plan = 8000000;
+// nothing where the plan has taken much already. A step less is found soon, or not. Of 500; of more
+// positioners as much more.
+constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 1500000,
+                       most_work_of_a_plan = 8000000, work_of_a_step_less = 100000;
 constexpr int usual_robots = 500;
-// Knots that begin anew (anew.cpp): so often before the one that is late is left, and in all so much work for
-// each step that it is too late, up to a most.
-constexpr int knots_at_once = 16;
-constexpr std::int64_t work_of_untying_per_step = 500000, most_work_of_untying = 1500000;
 // The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
-// if it is far too late, else once all that was in vain.
-constexpr int share_before_all = 4, share_in_the_end = 14;
-constexpr std::int64_t most_work_of_growing = 1600000;
+// if it is far too late, so often, and each time that all that was in vain.
+constexpr int share_before_all = 10, grows_before_all = 2, share_in_the_end = 14, grows_in_the_end = 2;
+constexpr std::int64_t most_work_of_growing = 4500000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
 constexpr int most_hurries = 64; // attempts of one to arrive earlier in which others have to give way
@@ -69,7 +66,11 @@ void Repair::hurry(int wanted_steps) {
 // A step less, with more repairs.
 bool Repair::squeeze_in_the_end(PathIndex last, int wanted_steps) {
     const int arrival = paths_.arrival(last), behind = arrival - wanted_steps;
-    return squeeze(last, arrival - 1, std::min(hurry_rounds + rounds_per_step * behind, most_rounds_of_one));
+    most_work_ = work() + work_of_a_step_less;
+    const bool done =
+        squeeze(last, arrival - 1, std::min(hurry_rounds + rounds_per_step * behind, most_rounds_of_one));
+    most_work_ = unlimited;
+    return done;
 }
 
 // Whether there is work left for one that is so many steps too late.
@@ -79,43 +80,44 @@ bool Repair::may_start_again(int behind) const {
            of_usual(work() - attempts_.work_of_growing) < most_work_of_a_plan;
 }
 
-// The same of knots that begin anew.
-bool Repair::may_untie(int behind) const {
-    const std::int64_t most = std::min(work_of_untying_per_step * behind, most_work_of_untying);
-    return of_usual(attempts_.work_of_untying) < most;
-}
-
-// A knot that grows, if there is work left for it. Where that fails all goes on as if it had not been tried.
+// A knot that grows, if there is work left for it. Where that fails all goes on as if it had not been tried;
+// but once more it is tried otherwise.
 bool Repair::grow(PathIndex last, int far) {
     if (of_usual(attempts_.work_of_growing) >= most_work_of_growing || enough()) return false;
     const std::int64_t before = work();
-    const Random chance = random_;
-    const bool done = untie(last, far, true);
+    const int with_repairs = attempts_.with_repairs;
+    std::swap(random_, growing_);
+    const bool done = grow_alone(last, far);
+    std::swap(random_, growing_);
+    attempts_.with_repairs = with_repairs;
     attempts_.work_of_growing += work() - before;
-    if (!done) random_ = chance;
     return done;
 }
 
-// The knot of one that is far too late grows. One that is far behind starts again in between, until it
-// arrives earlier or too much has been done; where all of that is in vain its knot begins anew, and grows.
+// Starts one after the other, by all that it is behind, or a half, a quarter, ...
+bool Repair::start_some_again(PathIndex last, int behind, int far) {
+    for (int k = 0; k < starts_at_once && may_start_again(behind) && !enough(); ++k) {
+        const int less = std::max(1, behind >> random_.below(most_halvings));
+        if (start_again(last, paths_.arrival(last) - less, far)) return true;
+    }
+    return false;
+}
+
+// The knot of one that is far too late grows. One that is far behind starts again in between, and its knot
+// grows again, until it arrives earlier or too much has been done.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
-    bool done = false;
-    if (share_before_all * behind > far && grow(last, far)) return true;
+    for (int k = 0; k < grows_before_all && share_before_all * behind > far; ++k)
+        if (grow(last, far)) return true;
     do {
         const std::int64_t before = work();
-        for (int k = 0; k < starts_at_once && !done && may_start_again(behind) && !enough(); ++k)
-            done = start_again(
-                last, paths_.arrival(last) - std::max(1, behind >> random_.below(most_halvings)), far);
-        done = done || squeeze_in_the_end(last, wanted_steps);
+        const bool done = start_some_again(last, behind, far) || squeeze_in_the_end(last, wanted_steps);
         attempts_.work_in_the_end += work() - before;
-    } while (!done && may_start_again(behind) && !enough());
-    for (int k = 0; k < knots_at_once && !done && may_untie(behind) && !enough(); ++k) {
-        const std::int64_t before = work();
-        done = untie(last, wanted_steps, false);
-        attempts_.work_of_untying += work() - before;
-    }
-    return done || (share_in_the_end * behind > far && grow(last, far));
+        if (done || (share_in_the_end * behind > far && grow(last, far))) return true;
+    } while (may_start_again(behind) && !enough());
+    for (int k = 0; k < grows_in_the_end && share_in_the_end * behind > far; ++k)
+        if (grow(last, far)) return true;
+    return false;
 }
 
 // As much for as many as usual.

@@ -15,8 +15,9 @@ constexpr int least_affordable = 4; // steps in conflict
 // as many as the second one of two. All of a round together take about half a second at
 // most, and as much when paths are hurried.
 constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
-constexpr int flood_nodes = 16000;     // of a search that keeps to a flood ...
-constexpr int nodes_of_a_flood = 8000; // ... which takes as long as one of so many
+constexpr int flood_nodes = 16000;      // of a search that keeps to a flood ...
+constexpr int nodes_of_a_flood = 8000;  // ... which takes as long as one of so many
+constexpr int flood_nodes_alone = 4000; // where a knot grows, which may begin otherwise
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
 // is not worth the search.
@@ -355,7 +356,7 @@ int Repair::joint_nodes(const List<PathIndex> &joint) const {
 // The pair, and now and then a third: three arms can lock each other in a ring.
 List<PathIndex> Repair::choose_joint(Pair pair) {
     List<PathIndex> joint{pair.first, pair.second};
-    if (pairs_by_flood_ || joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
+    if (alone_ || joint_in_vain(pair) < joint_of_two || random_.chance(40)) return joint;
     const PathIndex third = near_one_of(pair, 6);
     if (is_there(third) && third != pair.first && third != pair.second) joint.push_back(third);
     return joint;
@@ -396,11 +397,12 @@ void Repair::joint_round(Pair pair) {
     forget_paths(group.members);
     const int most_nodes = joint_nodes(joint);
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
-    const bool by_flood = joint.size() == 2 && (pairs_by_flood_ || last_steps_ == 0 || random_.chance(50)) &&
-                          paths_.can_flood(joint);
+    const bool by_flood =
+        joint.size() == 2 && (alone_ || last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
     floods_ += by_flood;
-    const bool found = by_flood ? paths_.seek_pair(joint, flood_nodes, joint_)
-                                : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
+    const bool found =
+        by_flood ? paths_.seek_pair(joint, alone_ && !parts_two_ ? flood_nodes_alone : flood_nodes, joint_)
+                 : paths_.seek_joint(joint, random_.chance(70), most_nodes, joint_);
     joint_left_ -= by_flood ? nodes_of_a_flood : joint_.nodes();
     take_back(group);
     if (!found) return judge(pair, group, group.conflicts);

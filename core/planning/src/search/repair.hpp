@@ -23,7 +23,7 @@ class Repair {
     Repair(PathSet &paths, const Settings &settings, Statistics &statistics, const Manner &manner)
         : paths_(paths), settings_(settings), statistics_(statistics),
           effort_(manner.share * settings.effort), begins_anew_(manner.begins_anew), lock_(manner.locked),
-          random_(settings.seed) {}
+          random_(settings.seed), growing_(settings.seed + 1) {}
 
     // A path for every positioner, longest first, conflicts allowed where they cannot be avoided. Those that
     // have none, even alone: their grid at rest has a way that no motion with its turnings can follow.
@@ -78,6 +78,7 @@ class Repair {
     bool may_hurry();
     bool squeeze(PathIndex last, int deadline, int most_repairs);
     bool squeeze_in_the_end(PathIndex last, int wanted_steps);
+    bool start_some_again(PathIndex last, int behind, int far);
     bool may_start_again(int behind) const;
     bool earlier_in_the_end(PathIndex last, int wanted_steps, int far);
     bool start_again(PathIndex last, int deadline, int far);
@@ -89,12 +90,8 @@ class Repair {
     bool part(int most);
     bool part_anew();
     bool part_by_growing();
-    PathIndex last_changed(int step) const;
-    bool squeeze_changed(int step);
-    bool may_untie(int behind) const;
     bool grow(PathIndex last, int far);
-    bool untie(PathIndex last, int wanted_steps, bool alone);
-    bool begin_among_all(PathIndex last, int wanted_steps);
+    bool grow_alone(PathIndex last, int wanted_steps);
     // What a knot that grows shall come to.
     struct Growth {
         List<PathIndex> first;
@@ -113,10 +110,19 @@ class Repair {
     void allow_before(int step);
     List<int, PathIndex> deadlines() const;
     void set_deadlines(const List<int, PathIndex> &deadlines);
-    void hurry_knot(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work);
+    int steps_in_conflict(PathIndex i) const;
+    bool part_in_time(const List<PathIndex> &knot, int step, int repairs);
+    bool begin_alone(const List<PathIndex> &knot, const List<PathIndex> &some, int wanted_steps);
+    void hurry_by_halves(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work);
+    bool hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::int64_t most_work);
     bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
+    bool part_two_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
+    void go_round(const List<PathIndex> &knot);
+    bool repair_return(const List<PathIndex> &knot, const Growth &wish);
     bool fit_in(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
                 List<PathIndex> &rivals);
+    bool fit_in_soon(const List<PathIndex> &knot, const List<PathIndex> &others, const Growth &wish,
+                     List<PathIndex> &rivals);
     std::int64_t of_usual(std::int64_t of_all) const;
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
@@ -138,22 +144,23 @@ class Repair {
     int begins_anew_;
     std::function<bool(PathIndex, PathIndex)> lock_;
     List<Pair> locked_;
-    Random random_;
+    Random random_, growing_; // of all; of knots that grow, so that what they tried in vain changes no more
     Search search_;
     JointSearch joint_;
     // Attempts of one to arrive earlier that are left: of all, and of those in which others have to give way;
     // and what has been done for those that are far behind.
     struct Attempts {
         int all = 0, with_repairs = 0;
-        std::int64_t work_in_the_end = 0, work_of_untying = 0, work_of_growing = 0;
+        std::int64_t work_in_the_end = 0, work_of_growing = 0;
     } attempts_;
     int joint_left_ = 0; // nodes that joint searches may still look at
     std::int64_t floods_ = 0;
     static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
     std::int64_t most_work_ = unlimited; // beyond which repairs end
     int vain_share_ = 1;                 // over this, repairs are made in vain
-    bool alone_ = false;                 // a knot grows: few are there
-    bool pairs_by_flood_ = false; // joint searches are of two alone, and keep to a flood where they can
+    // A knot grows: few are there, and joint searches are of two alone and keep to a flood where they can.
+    bool alone_ = false;
+    bool parts_two_ = false; // such a knot is one of two that resist, and not of the last to arrive
     int first_steps_ = 0;
     int last_steps_ = 0; // beyond which no deadline is set
     int most_steps_ = 0; // the same before any hurries
