@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.table import Table
 from numpy.typing import NDArray
 
 from fiberloom.calibration.fibres.combine import Combined, combine
@@ -17,7 +16,7 @@ from fiberloom.calibration.fibres.frame import FrameOffset
 from fiberloom.calibration.fibres.model import MODES
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import METROLOGY, FocalPlane
-from fiberloom.tables import TableFile, read_table, write_summed
+from fiberloom.tables import TableFile, read_table, write_columns
 from fiberloom.targets import TargetList
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, UM_PER_MM
@@ -253,7 +252,7 @@ class FibreOffsets:
         )
         frame = {} if self.frame is None else {"camera_frame": self.frame.to_meta()}
         head = {"format": FORMAT, "format_version": FORMAT_VERSION, **frame, **marks}
-        write_summed(Path(path), Table(dict(zip(_COLUMNS, columns, strict=True)), meta=head))
+        write_columns(Path(path), dict(zip(_COLUMNS, columns, strict=True)), head)
 
     @classmethod
     def load(cls, path: str | Path) -> FibreOffsets:
