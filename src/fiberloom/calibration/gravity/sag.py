@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fiberloom.calibration.covariances import are_covariances
 from fiberloom.calibration.gravity.model import PARAMETERS, shifts_per_parameter, turns_deg
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
@@ -61,7 +62,9 @@ class ArmSag:
         if len(np.unique(self.positioner_id)) < n:
             raise InputError("arm sag: a positioner appears twice")
         small: Flags = np.all(np.abs(self.sag_rad) <= MOST_RAD, axis=1)
-        for row in np.flatnonzero(self.ok & ~(small & _sound(self.covariance_rad2)))[:1]:
+        for row in np.flatnonzero(self.ok & ~(small & are_covariances(self.covariance_rad2, MOST_RAD**2)))[
+            :1
+        ]:
             name = f"positioner {self.positioner_id[row]}"
             if not small[row]:
                 raise InputError(f"{name}: turns by more than {MOST_RAD:g} rad at 1 g, or by no number")
@@ -145,16 +148,6 @@ def _at_one_g(plane: FocalPlane) -> Floats:
 
 def _rms_um(square_mm2: Floats) -> float:
     return UM_PER_MM * float(np.sqrt(square_mm2.mean())) if square_mm2.size else 0.0
-
-
-def _sound(covariance_rad2: Floats) -> Flags:
-    """(N,) which of N matrices are covariances of sags that can be."""
-    sound: Flags = np.all(np.isfinite(covariance_rad2), axis=(1, 2))
-    wide = np.where(sound[:, None, None], covariance_rad2, 0.0)
-    trace = np.trace(wide, axis1=1, axis2=2)
-    skew = np.abs(wide - wide.transpose(0, 2, 1)).max(axis=(1, 2))
-    sound &= np.asarray((skew <= 1e-6 * trace) & (trace <= MOST_RAD**2))
-    return sound & (np.linalg.eigvalsh(wide) > 0.0).all(axis=1)
 
 
 def _read(table: TableFile) -> ArmSag:
