@@ -10,7 +10,7 @@ from fiberloom.typing import Flags, Floats
 def are_covariances(matrices: Floats, most: float) -> Flags:
     """(N,) which of `matrices` (N, k, k) are finite, symmetric and positive definite.
 
-    `most`, in the unit of their diagonal, which is that of a variance: more its sum is not.
+    `most`: of the sum of a diagonal; in any unit of a variance, such as mm2 or rad2, as the matrices are.
     """
     sound: Flags = np.all(np.isfinite(matrices), axis=(1, 2))
     wide = np.where(sound[:, None, None], matrices, 0.0)
