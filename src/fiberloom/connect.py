@@ -102,14 +102,9 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
 def _steppers(protocol: str) -> type[OpenedSteppers] | None:
     """What opens an array of steppers with this protocol; None: it has other motors."""
     # motors of all kinds take a while to load, and an array has those of one
-    from fiberloom.operation.outside.steppers import OpenedLamost, OpenedMegara, OpenedMoons
+    from fiberloom.operation.outside.steppers import STEPPERS
 
-    kinds: dict[str, type[OpenedSteppers]] = {
-        "lamost": OpenedLamost,
-        "megara": OpenedMegara,
-        "moons": OpenedMoons,
-    }
-    return kinds.get(protocol)
+    return STEPPERS.get(protocol)
 
 
 def _port_of(interface: str) -> int | None:
