@@ -113,3 +113,7 @@ def test_a_masked_number_is_an_empty_cell(tmp_path):
 def test_objects_are_not_written():
     with pytest.raises(TypeError, match="column x: numbers or text are written, not object"):
         ecsv.text_of({"x": [1.5, None]}, {})
+
+
+def test_a_column_without_a_name_is_left_to_astropy():
+    assert ecsv.read(plain("datatype: int64", "1").replace("name: x", "n\\ame: x").encode()) is None

@@ -99,7 +99,7 @@ def read(content: bytes) -> PlainTable | None:
         lines = content.decode().splitlines()
         header, body = _header(lines)
         return PlainTable(_columns(header, body), header.get("meta", {}))
-    except (_NotPlain, UnicodeDecodeError, ValueError, TypeError, OverflowError, csv.Error, yaml.YAMLError):
+    except Exception:  # a damaged header can hold anything, and astropy says what is wrong with it
         return None
 
 
@@ -107,7 +107,7 @@ def read_head(content: bytes) -> Mapping[str, Any] | None:
     """What the header says beside the columns; None as of `read`. The rows are not looked at."""
     try:
         return dict(_header(content.decode().splitlines())[0].get("meta", {}))
-    except (_NotPlain, UnicodeDecodeError, ValueError, TypeError, yaml.YAMLError):
+    except Exception:  # as above
         return None
 
 
@@ -129,7 +129,11 @@ def _header(lines: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
 def _columns(header: dict[str, Any], body: Sequence[str]) -> dict[str, Array]:
     told = header["datatype"]
     names = [column["name"] for column in told]
-    if len(set(names)) < len(names) or any(not set(column) <= _KNOWN_OF_COLUMN for column in told):
+    if (
+        not all(isinstance(name, str) for name in names)
+        or len(set(names)) < len(names)
+        or any(not set(column) <= _KNOWN_OF_COLUMN for column in told)
+    ):
         raise _NotPlain
     rows = list(_rows(body, header.get("delimiter", " ")))
     if not rows or rows[0] != names or any(len(row) != len(names) for row in rows):
