@@ -147,7 +147,7 @@ def _rows(body: Sequence[str], delimiter: str) -> Iterator[list[str]]:
         raise _NotPlain
     lines = (line.strip() for line in body if line.strip())
     for row in csv.reader(lines, delimiter=delimiter, skipinitialspace=True):
-        yield [cell.strip() for cell in row]
+        yield [cell.strip(" \t") for cell in row]
 
 
 def _column(told: Mapping[str, Any], cells: Sequence[str]) -> Array:
