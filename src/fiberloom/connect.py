@@ -9,30 +9,18 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from fiberloom.bus.cannet import TCP_PORT
 from fiberloom.bus.spec import CANNET, BusSpec
 from fiberloom.bus.transport import Transport
-from fiberloom.drive.lamost.coordinators import RADIO_PORT
-from fiberloom.drive.moons.tcp import FIRST_PORT
-from fiberloom.drive.pfs.frames import TCP_PORT as FPGA_PORT
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
-from fiberloom.operation.outside.steppers import OpenedLamost, OpenedMegara, OpenedMoons, OpenedSteppers
-from fiberloom.operation.source import FPGA, OpenedArray, OpenedCobras, OpenedDesi, Source
+from fiberloom.operation.source import FPGA, OpenedArray, Source
 
 if TYPE_CHECKING:
     from fiberloom.metrology import Camera
+    from fiberloom.operation.outside.steppers import OpenedSteppers
 
 TWIN = "twin:"
 NO_CAMERA = "none"
-STEPPERS: dict[str, type[OpenedSteppers]] = {
-    "lamost": OpenedLamost,
-    "megara": OpenedMegara,
-    "moons": OpenedMoons,
-}
-"""Arrays of steppers by their protocol."""
-PORTS = {CANNET: TCP_PORT, "fpga": FPGA_PORT, "gateways": FIRST_PORT, "radio": RADIO_PORT}
-"""TCP ports of the kinds of bus that have one, where an address names none."""
 
 
 def open_hardware(
@@ -82,13 +70,15 @@ def open_hardware(
     for option, text in (("--faults", faults), ("--errors", errors)):
         if text:
             raise InputError(f"{option} goes with the twin; one on the network takes them when it is started")
-    kind = STEPPERS.get(plane.instrument.drive.protocol)
+    kind = _steppers(plane.instrument.drive.protocol)
     if kind is not None:
         _check_steppers(plane, bus, kind)
     address = camera if isinstance(camera, str) else ""
     seen = _camera(plane, camera) if isinstance(camera, str) else camera
     if kind is not None:
         return kind(plane, bus.removeprefix(kind.at) if isinstance(bus, str) else bus, seen, address)
+    from fiberloom.operation.outside.opened import OpenedCobras, OpenedDesi
+
     if isinstance(bus, str) and bus.startswith(FPGA):
         return OpenedCobras(plane, bus.removeprefix(FPGA), seen, address)
     found = OpenedArray.of(bus, seen, address)
@@ -107,6 +97,24 @@ def twin_source(plane: FocalPlane, seed: int, camera: str, faults: str, errors: 
     from fiberloom.twin.motors.arrays import source_of
 
     return source_of(plane, seed, camera, faults, errors)
+
+
+def _steppers(protocol: str) -> type[OpenedSteppers] | None:
+    """What opens an array of steppers with this protocol; None: it has other motors."""
+    # motors of all kinds take a while to load, and an array has those of one
+    from fiberloom.operation.outside.steppers import STEPPERS
+
+    return STEPPERS.get(protocol)
+
+
+def _port_of(interface: str) -> int | None:
+    """TCP port of a kind of bus where an address names none; None: it has no such port."""
+    from fiberloom.bus.cannet import TCP_PORT
+    from fiberloom.drive.lamost.coordinators import RADIO_PORT
+    from fiberloom.drive.moons.tcp import FIRST_PORT
+    from fiberloom.drive.pfs.frames import TCP_PORT as FPGA_PORT
+
+    return {CANNET: TCP_PORT, "fpga": FPGA_PORT, "gateways": FIRST_PORT, "radio": RADIO_PORT}.get(interface)
 
 
 def _check_steppers(plane: FocalPlane, bus: str | Transport, kind: type[OpenedSteppers]) -> None:
@@ -150,7 +158,7 @@ def array_address(bus: str) -> str:
     if bus.startswith(TWIN):
         return f"{TWIN}{os.getpid()}"
     spec = BusSpec.parse(bus)
-    if (port := PORTS.get(spec.interface)) is None:
+    if (port := _port_of(spec.interface)) is None:
         return f"{spec.interface}:{','.join(sorted(spec.channels))}"
     hosts = (host.lower() if ":" in host else f"{host.lower()}:{port}" for host in spec.channels)
     return f"{spec.interface}:{'//' if spec.interface == CANNET else ''}{','.join(sorted(hosts))}"

@@ -313,7 +313,7 @@ def test_what_is_raised_below_becomes_an_exit_code(fl, monkeypatch, error, code,
     def broken(**options):
         raise error
 
-    monkeypatch.setattr(cli_app, "app", broken)
+    monkeypatch.setattr(cli_app, "app_of", lambda words: broken)
     found, out, err = fl("runs")
     assert (found, out, err.count("\n")) == (code, "", 1)
     assert said in err

@@ -145,3 +145,13 @@ def test_at_the_end_cycles_are_not_looked_for_among_all_that_was_imported():
     done = subprocess.run([sys.executable, "-c", FROZEN], capture_output=True, text=True, check=True)
     _, left = done.stdout.splitlines()
     assert int(left.split()[1]) < 100
+
+
+def test_a_command_loads_no_other_one(folder):
+    _, modules, _ = loaded("observe", "--help", cwd=folder)
+    assert "fiberloom.cli.observe" in modules
+    assert not modules & {
+        "fiberloom.cli.lifetime",
+        "fiberloom.cli.sky.survey",
+        "fiberloom.cli.calibrate.bench",
+    }

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fiberloom.operation.source import OpenedArray, OpenedCobras, OpenedDesi, OutsideArray
+from fiberloom.operation.outside.opened import OpenedCobras, OpenedDesi
+from fiberloom.operation.source import OpenedArray, OutsideArray
 from fiberloom.twin.cobras.served import ServedCobras
 from fiberloom.twin.server.told import counts_text
 

@@ -439,7 +439,7 @@ def test_a_plan_that_the_verifier_refuses_is_one_line():
         "import sys; from fiberloom.cli import app\n"
         "from fiberloom.operation.motion import UnsafePlanError\n"
         "def refuse(**_): raise UnsafePlanError('the verifier refused the planned motion: all')\n"
-        "app.app = refuse; app.main()"
+        "app.app_of = lambda words: refuse; app.main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from fields import field
 
+from fiberloom.bus.trajectory import WireTrajectory
+from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.planning import Plan, Trajectory, plan, random_configuration, random_pair, verify
 from fiberloom.planning.bodies import BEYOND_RANGE_DEG, travel_rad
+from fiberloom.planning.trajectories import corners_of
 from fiberloom.planning.untangling import _corners
+from fiberloom.units import COUNTS_PER_DEG
 
 
 @pytest.mark.parametrize("name", ["sdssv", "pfs", "moons", "desi", "lamost"])
@@ -72,3 +76,32 @@ def test_pairs_keep_the_margin_of_single_configurations():
     assert margins[0] == margins[1]
     plane = field(19)
     np.testing.assert_array_equal(random_pair(plane, 0)[0], random_pair(plane, 0, margin_mm=margins[1])[0])
+
+
+def way(rng, points):
+    time_s = np.cumsum(rng.uniform(0.01, 0.3, points))
+    alpha_deg = np.cumsum(rng.choice([0.0, 1e-9, 1.0, 1.0], points)) + 1e-6 * rng.choice([0, 1]) * time_s**2
+    return Trajectory(1, time_s, alpha_deg, 3.0 * time_s)
+
+
+def test_corners_of_many_ways_are_those_of_each_alone_and_all_others_are_straight():
+    rng = np.random.default_rng(4)
+    ways = [way(rng, int(points)) for points in rng.integers(1, 40, 60)]
+    for robot, (alpha, beta) in zip(ways, corners_of(ways), strict=True):
+        np.testing.assert_array_equal(alpha, robot.corners(0))
+        assert beta.tolist() == sorted({0, len(robot.time_s) - 1})
+        drawn_deg = np.interp(robot.time_s, robot.time_s[alpha], robot.alpha_deg[alpha])
+        assert np.abs(drawn_deg - robot.alpha_deg).max() * COUNTS_PER_DEG < 0.5
+
+
+def test_ways_on_the_wire_are_the_same_one_by_one_and_together():
+    rng = np.random.default_rng(5)
+    ways = [way(rng, int(points)) for points in rng.integers(1, 20, 9)]
+    paths, corners = [robot.points_deg for robot in ways], corners_of(ways)
+    together = WireTrajectory.all_from_deg([robot.time_s for robot in ways], paths, corners)
+    for robot, rows, sent in zip(ways, corners, together, strict=True):
+        alone = WireTrajectory.from_deg(robot.time_s, robot.alpha_deg, robot.beta_deg, rows)
+        np.testing.assert_array_equal(sent.alpha, alone.alpha)
+        np.testing.assert_array_equal(sent.beta, alone.beta)
+    with pytest.raises(InputError, match="beta: angles must be within"):
+        WireTrajectory.all_from_deg([np.zeros(1)], [np.array([[0.0, 1e9]])], [(np.arange(1), np.arange(1))])

@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from fiberloom.cli.app import calibrate
+from fiberloom.cli.app import app_of
 from fiberloom.cli.calibrate.transmission import TransmissionOptions, transmission
 from fiberloom.errors import InputError
 from fiberloom.store import Store
@@ -32,7 +32,8 @@ LOOK_BACK = {"history", "undo"}
 
 
 def test_no_calibration_command_is_without_a_test_of_its_rows():
-    names = {c.name or c.callback.__name__ for c in calibrate.registered_commands}
+    (calibrate,) = (group.typer_instance for group in app_of(["calibrate"]).registered_groups)
+    names = {c.name for c in calibrate.registered_commands}
     assert names == TESTED | LOOK_BACK
 
 

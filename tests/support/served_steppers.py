@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fiberloom.connect import STEPPERS
 from fiberloom.drive.steppers.kept import save_units
 from fiberloom.field import Field
+from fiberloom.operation.outside.steppers import STEPPERS
 from fiberloom.operation.results.observation import Observation
 from fiberloom.targets.generate import random_targets
 from fiberloom.twin.camera.noise_camera import NoiseCamera

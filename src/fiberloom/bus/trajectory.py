@@ -13,7 +13,7 @@ from fiberloom.bus.exchange import Exchange
 from fiberloom.bus.outcome import Outcome, Result, Results, results_of
 from fiberloom.bus.protocol import COMMANDS, Command, Status
 from fiberloom.errors import InputError
-from fiberloom.typing import Ints
+from fiberloom.typing import Floats, Ints
 
 _STATUS_ASKED, _STATUS_TIMEOUT_S = 4, 0.3
 _RECEIVED = Status.TRAJECTORY_ALPHA_RECEIVED | Status.TRAJECTORY_BETA_RECEIVED
@@ -33,7 +33,7 @@ class WireTrajectory:
         for name, points in (("alpha", self.alpha), ("beta", self.beta)):
             if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
                 raise InputError(f"trajectory, {name}: needs rows of (counts, ticks), at least one")
-            if points[0, 1] < 0 or (np.diff(points[:, 1]) <= 0).any():
+            if points[0, 1] < 0 or (points[1:, 1] <= points[:-1, 1]).any():
                 raise InputError(
                     f"trajectory, {name}: times must grow from point to point by at least one "
                     f"tick of {units.TICK_S * 1e3} ms"
@@ -55,6 +55,26 @@ class WireTrajectory:
         if corners is None:
             return cls(*axes)
         return cls(*(points[rows] for points, rows in zip(axes, corners, strict=True)))
+
+    @classmethod
+    def all_from_deg(
+        cls, times_s: Sequence[Floats], paths_deg: Sequence[Floats], corners: Sequence[tuple[Ints, Ints]]
+    ) -> list[WireTrajectory]:
+        """Of several positioners, each as of `from_deg`.
+
+        `times_s` (M,) and `paths_deg` (M, 2), alpha and beta on the wire, of each; `corners`: of each the
+        rows that alpha needs, and beta.
+        """
+        if not times_s:
+            return []
+        time_s, path_deg = np.concatenate(times_s), np.concatenate(paths_deg)
+        alpha = _points("alpha", time_s, path_deg[:, 0])
+        beta = _points("beta", time_s, path_deg[:, 1])
+        starts = np.cumsum([0, *(len(time_s) for time_s in times_s)]).tolist()
+        return [
+            cls(alpha[start + rows], beta[start + others])
+            for start, (rows, others) in zip(starts[:-1], corners, strict=True)
+        ]
 
     @property
     def duration_s(self) -> float:

@@ -1,163 +1,153 @@
 """The command `fiberloom`. Everything it does can be done from Python too.
 
-Commands import what they need when they run: help and refusals are quick.
+Commands import what they need when they run: help and refusals are quick. Of the commands themselves only
+the one that is called is loaded.
 """
 
 from __future__ import annotations
 
 import atexit
 import gc
+import importlib
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from fiberloom.cli.array.doctor import doctor
-from fiberloom.cli.array.exclude import exclude_add, exclude_clear, exclude_list
-from fiberloom.cli.array.move import home, park, recover, stop
-from fiberloom.cli.array.serve import serve
-from fiberloom.cli.array.status import status
-from fiberloom.cli.calibrate.acceptance import acceptance
-from fiberloom.cli.calibrate.fibres import fibres
-from fiberloom.cli.calibrate.focal_plane import focal_plane
-from fiberloom.cli.calibrate.gravity import gravity
-from fiberloom.cli.calibrate.identification import arms, coast, friction, inertia, repeatability, stiffness
-from fiberloom.cli.calibrate.learnt import history as learnt_history
-from fiberloom.cli.calibrate.learnt import undo
-from fiberloom.cli.calibrate.steppers import steppers
-from fiberloom.cli.calibrate.transmission import transmission
-from fiberloom.cli.commission import commission
-from fiberloom.cli.design.budget import budget
-from fiberloom.cli.design.check import check
-from fiberloom.cli.design.compare import compare, sweep
-from fiberloom.cli.design.coverage import coverage
-from fiberloom.cli.design.efficiency import efficiency
-from fiberloom.cli.design.gear import gear, spring
-from fiberloom.cli.design.power import power
-from fiberloom.cli.design.presets import presets
-from fiberloom.cli.design.report import report
-from fiberloom.cli.design.survey import survey as design_survey
-from fiberloom.cli.design.throughput import throughput
-from fiberloom.cli.health import health
-from fiberloom.cli.images import centroid, match
-from fiberloom.cli.instruments import instruments
-from fiberloom.cli.lifetime import lifetime
-from fiberloom.cli.night import night
-from fiberloom.cli.observe import observe
 from fiberloom.cli.options import add
-from fiberloom.cli.past.history import history
-from fiberloom.cli.past.runs import runs
-from fiberloom.cli.past.show import show
-from fiberloom.cli.past.store import check as check_store
-from fiberloom.cli.past.store import copy, upgrade
-from fiberloom.cli.plan import assign, plan, verify
-from fiberloom.cli.reproduce import reproduce
-from fiberloom.cli.sky.drift import drift
-from fiberloom.cli.sky.guide import guide
-from fiberloom.cli.sky.place import place, where
-from fiberloom.cli.sky.survey import survey
-from fiberloom.cli.twin import twin
 from fiberloom.errors import InputError, StoppedError
 
 HELP: dict[str, Any] = {"help_option_names": ["-h", "--help"]}
 
-app = typer.Typer(
-    invoke_without_command=True,
-    context_settings=HELP,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    help="From a target list to fibres on target, for alpha-beta fibre positioners.",
-)
-calibrate = typer.Typer(
-    no_args_is_help=True, context_settings=HELP, help="Measure the properties of each positioner."
-)
-exclude = typer.Typer(
-    no_args_is_help=True, context_settings=HELP, help="Positioners of an array that must not be moved."
-)
-sky = typer.Typer(
-    no_args_is_help=True, context_settings=HELP, help="From RA and Dec to the focal plane, and back."
-)
-store = typer.Typer(
-    no_args_is_help=True, context_settings=HELP, help="Stores: brought up to date, checked, copied."
-)
-design = typer.Typer(
-    no_args_is_help=True, context_settings=HELP, help="What a design promises, before anything is built."
-)
+_COMMANDS: dict[str, dict[str, str]] = {
+    "": {
+        "observe": "observe:observe",
+        "night": "night:night",
+        "assign": "plan:assign",
+        "plan": "plan:plan",
+        "verify": "plan:verify",
+        "twin": "twin:twin",
+        "serve": "array.serve:serve",
+        "park": "array.move:park",
+        "home": "array.move:home",
+        "recover": "array.move:recover",
+        "stop": "array.move:stop",
+        "status": "array.status:status",
+        "doctor": "array.doctor:doctor",
+        "lifetime": "lifetime:lifetime",
+        "reproduce": "reproduce:reproduce",
+        "instruments": "instruments:instruments",
+        "runs": "past.runs:runs",
+        "show": "past.show:show",
+        "history": "past.history:history",
+        "health": "health:health",
+        "centroid": "images:centroid",
+        "match": "images:match",
+        "acceptance": "calibrate.acceptance:acceptance",
+        "commission": "commission:commission",
+    },
+    "exclude": {
+        "add": "array.exclude:exclude_add",
+        "list": "array.exclude:exclude_list",
+        "clear": "array.exclude:exclude_clear",
+    },
+    "store": {
+        "upgrade": "past.store:upgrade",
+        "check": "past.store:check",
+        "copy": "past.store:copy",
+    },
+    "sky": {
+        "place": "sky.place:place",
+        "where": "sky.place:where",
+        "drift": "sky.drift:drift",
+        "guide": "sky.guide:guide",
+        "survey": "sky.survey:survey",
+    },
+    "design": {
+        "budget": "design.budget:budget",
+        "check": "design.check:check",
+        "compare": "design.compare:compare",
+        "coverage": "design.coverage:coverage",
+        "efficiency": "design.efficiency:efficiency",
+        "gear": "design.gear:gear",
+        "power": "design.power:power",
+        "presets": "design.presets:presets",
+        "report": "design.report:report",
+        "spring": "design.gear:spring",
+        "survey": "design.survey:survey",
+        "sweep": "design.compare:sweep",
+        "throughput": "design.throughput:throughput",
+    },
+    "calibrate": {
+        "transmission": "calibrate.transmission:transmission",
+        "steppers": "calibrate.steppers:steppers",
+        "focal-plane": "calibrate.focal_plane:focal_plane",
+        "fibres": "calibrate.fibres:fibres",
+        "gravity": "calibrate.gravity:gravity",
+        "history": "calibrate.learnt:history",
+        "undo": "calibrate.learnt:undo",
+        "friction": "calibrate.identification:friction",
+        "inertia": "calibrate.identification:inertia",
+        "coast": "calibrate.identification:coast",
+        "stiffness": "calibrate.identification:stiffness",
+        "arms": "calibrate.identification:arms",
+        "repeatability": "calibrate.identification:repeatability",
+    },
+}
+"""Where commands are below this package, by their group and name; those in no group first."""
 
-add(app, observe)
-add(app, night)
-add(app, assign)
-add(app, plan)
-add(app, verify)
-add(app, twin)
-add(app, serve)
-add(app, park)
-add(app, home)
-add(app, recover)
-add(app, stop)
-add(app, status)
-add(app, doctor)
-add(app, lifetime)
-add(app, reproduce)
-add(app, instruments)
-add(app, runs)
-add(app, show)
-add(app, history)
-add(app, health)
-add(app, centroid)
-add(app, match)
-add(app, acceptance)
-add(app, commission)
+_GROUPS = {
+    "exclude": "Positioners of an array that must not be moved.",
+    "store": "Stores: brought up to date, checked, copied.",
+    "sky": "From RA and Dec to the focal plane, and back.",
+    "design": "What a design promises, before anything is built.",
+    "calibrate": "Measure the properties of each positioner.",
+}
 
-app.add_typer(exclude, name="exclude")
-add(exclude, exclude_add, "add")
-add(exclude, exclude_list, "list")
-add(exclude, exclude_clear, "clear")
 
-app.add_typer(store, name="store")
-add(store, upgrade)
-add(store, check_store)
-add(store, copy)
+def app_of(words: Sequence[str] = ()) -> typer.Typer:
+    """The command that `words` of a command line call, or the group of commands; all where they call none."""
+    first = words[0] if words else ""
+    known = first in _COMMANDS[""] or first in _GROUPS
+    app = typer.Typer(
+        invoke_without_command=True,
+        context_settings=HELP,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        help="From a target list to fibres on target, for alpha-beta fibre positioners.",
+    )
+    app.callback()(_root)
+    for name, place in _COMMANDS[""].items():
+        if name == first or not known:
+            add(app, _command(place), name)
+    for name, help_text in _GROUPS.items():
+        if name == first or not known:
+            app.add_typer(_group(name, help_text), name=name)
+    return app
 
-app.add_typer(sky, name="sky")
-add(sky, place)
-add(sky, where)
-add(sky, drift)
-add(sky, guide)
-add(sky, survey)
 
-app.add_typer(design, name="design")
-add(design, budget)
-add(design, check)
-add(design, compare)
-add(design, coverage)
-add(design, efficiency)
-add(design, gear)
-add(design, power)
-add(design, presets)
-add(design, report)
-add(design, spring)
-add(design, design_survey)
-add(design, sweep)
-add(design, throughput)
+def _group(name: str, help_text: str) -> typer.Typer:
+    group = typer.Typer(no_args_is_help=True, context_settings=HELP, help=help_text)
+    for command, place in _COMMANDS[name].items():
+        add(group, _command(place), command)
+    return group
 
-app.add_typer(calibrate, name="calibrate")
-add(calibrate, transmission)
-add(calibrate, steppers)
-add(calibrate, focal_plane, "focal-plane")
-add(calibrate, fibres)
-add(calibrate, gravity)
-add(calibrate, learnt_history, "history")
-add(calibrate, undo)
-add(calibrate, friction)
-add(calibrate, inertia)
-add(calibrate, coast)
-add(calibrate, stiffness)
-add(calibrate, arms)
-add(calibrate, repeatability)
+
+def _command(place: str) -> Any:
+    module, _, function = place.partition(":")
+    return getattr(importlib.import_module(f"fiberloom.cli.{module}"), function)
+
+
+def __getattr__(name: str) -> Any:
+    """`app`: the whole command line."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = app_of()
+    return globals()[name]
 
 
 def _version(show: bool) -> None:
@@ -168,7 +158,6 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     context: typer.Context,
     site: Annotated[
@@ -213,7 +202,7 @@ def main() -> None:
     atexit.register(gc.freeze)
     os.environ.setdefault(*_ONE_THREAD)
     try:
-        code = app(standalone_mode=False)
+        code = app_of(sys.argv[1:])(standalone_mode=False)
         if code == INTERRUPTED:  # typer's exit code for Ctrl-C
             raise KeyboardInterrupt
         sys.exit(code)

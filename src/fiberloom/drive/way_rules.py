@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from fiberloom.assignment.candidates import WayRule
-from fiberloom.drive.desi.maps.reach import SureReach
-from fiberloom.drive.piezo.ways_out import WaysOut
 from fiberloom.instruments import FocalPlane
 from fiberloom.typing import Floats
 
@@ -16,9 +12,14 @@ def way_rule(plane: FocalPlane, scatter: Floats | None = None) -> WayRule | None
 
     `scatter` (N, 2), dimensionless: rms by which moves of both motors miss, of their way; None: not known.
     """
-    rules: dict[str, Callable[[FocalPlane], WayRule]] = {
-        "pfs": lambda known: WaysOut.of(known, scatter),
-        "desi": SureReach.of,
-    }
-    rule = rules.get(plane.instrument.drive.protocol)
-    return None if rule is None else rule(plane)
+    # motors of all kinds take a while to load, and an array has those of one
+    protocol = plane.instrument.drive.protocol
+    if protocol == "pfs":
+        from fiberloom.drive.piezo.ways_out import WaysOut
+
+        return WaysOut.of(plane, scatter)
+    if protocol == "desi":
+        from fiberloom.drive.desi.maps.reach import SureReach
+
+        return SureReach.of(plane)
+    return None

@@ -406,11 +406,14 @@ class _Search:
         """Narrower and narrower gates, with all the terms."""
         found: Acquisition | None = None
         scale = transform.similarity.scale_mm_px
+        fitted: tuple[Ints, Ints] | None = None
         for gate_mm in (4 * self.s.gate_mm, 2 * self.s.gate_mm, self.s.gate_mm, self.s.gate_mm):
             index, spot = self._near(transform.to_px(self.fiducials), scale, gate_mm)
             if len(index) < max(self.needed, 4):
                 return None
-            fit = self._best_fit(index, spot, transform.similarity.flipped)
+            if fitted is not None and all(map(np.array_equal, fitted, (index, spot))):
+                continue  # the same pairs have the same fit
+            fit, fitted = self._best_fit(index, spot, transform.similarity.flipped), (index, spot)
             transform = fit.transform
             found = Acquisition(index[fit.used], spot[fit.used], _only_used(fit))
         believed = found is not None and found.fit.rms_um < self.s.rms_below_um

@@ -18,7 +18,6 @@ from fiberloom.calibration.focal_plane.arms_file import arms_measured_C, load_ar
 from fiberloom.calibration.gravity.lead import led
 from fiberloom.calibration.gravity.sag import ArmSag
 from fiberloom.calibration.transmission.maps import TransmissionMaps
-from fiberloom.drive.pfs.calibration import left_out
 from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.pointing import ExposurePointing
@@ -90,6 +89,8 @@ class Known:
         say("calibrating motors")
         self.doubtful, self.scatter = await source.doubtful(moves), source.scatter()
         if self.doubtful:
+            from fiberloom.drive.pfs.calibration import left_out  # motors that few arrays have
+
             self.plane = left_out(self.plane, self.doubtful, source.standing_deg())
 
     def aims(self, targets: TargetList) -> TargetList:

@@ -9,7 +9,8 @@ from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import deg_to_rad, rad_to_deg
 
-_TRIES = 48
+_TRIES, _AT_ONCE = 48, 8
+"""Candidates that keep clear of obstacles and are tried at most, and those that are looked at together."""
 
 
 @part("placing")
@@ -52,19 +53,11 @@ class _Placing:
         still = deg_to_rad(plane.offline_position_deg)
         self.angles = np.where(plane.offline[:, None], still, park)
         self.rank = np.full(plane.n, candidates_deg.shape[1])
-        self.clear = self._clear_of_obstacles()
         self.near = self._neighbours()
 
-    def _clear_of_obstacles(self) -> Flags:
-        n, count, _ = self.goals.shape
-        flat = np.ascontiguousarray(self.goals.reshape(-1, 2))
-        ok = core.static_ok(
-            self.alone,
-            np.repeat(np.arange(n), count),
-            flat,
-            self.approach,
-        )
-        return np.asarray(ok, dtype=bool).reshape(n, count)
+    def _clear_of_obstacles(self, row: int, goals: Floats) -> Flags:
+        ok = core.static_ok(self.alone, np.full(len(goals), row), goals, self.approach)
+        return np.asarray(ok, dtype=bool)
 
     def _neighbours(self) -> list[Ints]:
         pairs = self.plane.neighbour_pairs(1.0)
@@ -74,12 +67,15 @@ class _Placing:
 
     def place(self, row: int, order: Ints, better_than: bool) -> None:
         """Puts one on its best free candidate; where none is free it stays where it is."""
-        limit = self.rank[row] if better_than else len(order)
-        good = np.flatnonzero(self.clear[row][order[:limit]])[:_TRIES]
-        for tried in np.array_split(good, max(1, len(good) // 8)):
+        limit, left = int(self.rank[row]) if better_than else len(order), _TRIES
+        for first in range(0, limit, _AT_ONCE):
+            tried = np.arange(first, min(first + _AT_ONCE, limit))
+            tried = tried[self._clear_of_obstacles(row, self.goals[row, order[tried]])][:left]
             free = tried[self._free(row, self.goals[row, order[tried]])]
             if len(free):
                 self.angles[row], self.rank[row] = self.goals[row, order[free[0]]], free[0]
+                return
+            if (left := left - len(tried)) == 0:
                 return
 
     def _free(self, row: int, goals: Floats) -> Flags:

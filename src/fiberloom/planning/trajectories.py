@@ -1,7 +1,7 @@
 """A plan: the trajectory of every positioner, and its JSON form."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from fiberloom.errors import InputError
 from fiberloom.files import parse_json, read_text, shown
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import COUNTS_PER_DEG
 from fiberloom.wholefile import write_whole
 
@@ -78,7 +78,9 @@ class Trajectory:
     @property
     def points_deg(self) -> Floats:
         """(n, 2) alpha and beta at its points."""
-        return np.column_stack([self.alpha_deg, self.beta_deg])
+        points = np.empty((len(self.time_s), 2))
+        points[:, 0], points[:, 1] = self.alpha_deg, self.beta_deg
+        return points
 
     def at(self, time_s: ArrayLike) -> Floats:
         """(n, 2) alpha and beta in deg at these times; constant before and after."""
@@ -87,25 +89,57 @@ class Trajectory:
         return np.stack([np.interp(when, self.time_s, a) for a in angles], axis=-1)
 
     def corners(self, axis: int) -> Ints:
-        """Rows of the points that one axis needs, 0 alpha or 1 beta: the first, the last, and those at which
-        its speed changes. Within a count of the bus all others are on the straight lines between these.
-        """
-        time_s, angle_deg = self.time_s, (self.alpha_deg, self.beta_deg)[axis]
-        rows = np.arange(len(time_s), dtype=np.int64)
-        if len(rows) < 3:
-            return rows
-        part = (time_s[1:-1] - time_s[:-2]) / (time_s[2:] - time_s[:-2])
-        straight_deg = angle_deg[:-2] + part * (angle_deg[2:] - angle_deg[:-2])
-        bends = np.abs(straight_deg - angle_deg[1:-1]) > _STRAIGHT_DEG
-        corners = rows[np.concatenate([[True], bends, [True]])]
-        left_deg = np.interp(time_s, time_s[corners], angle_deg[corners]) - angle_deg
-        return corners if np.abs(left_deg).max() * COUNTS_PER_DEG < 0.5 else rows
+        """Rows of the points that one axis needs, 0 alpha or 1 beta: as of `corners_of`."""
+        return corners_of([self])[0][axis]
 
     def to_dict(self) -> dict[str, Any]:
         """As in the JSON file."""
         arrays = {k: getattr(self, k).tolist() for k in KEYS}
         own = {} if self.approach is None else {"approach": self.approach.to_dict()}
         return {"positioner_id": self.positioner_id} | arrays | own
+
+
+def corners_of(robots: Sequence[Trajectory]) -> list[tuple[Ints, Ints]]:
+    """For each of `robots` rows of the points that alpha needs, and beta: the first, the last, and those at
+    which its speed changes. Within a count of the bus all others are on the straight lines between these.
+    """
+    if not robots:
+        return []
+    ends = np.cumsum([len(robot.time_s) for robot in robots])
+    starts = np.concatenate([[0], ends[:-1]])
+    time_s = np.concatenate([robot.time_s for robot in robots])
+    alpha_deg = np.concatenate([robot.alpha_deg for robot in robots])
+    beta_deg = np.concatenate([robot.beta_deg for robot in robots])
+    needed = [_needed(time_s, angle_deg, starts, ends) for angle_deg in (alpha_deg, beta_deg)]
+    both = zip(*(_rows_by_robot(axis, starts, ends) for axis in needed), strict=True)
+    return list(both)
+
+
+def _needed(time_s: Floats, angle_deg: Floats, starts: Ints, ends: Ints) -> Flags:
+    """Which points of an axis are corners; the trajectories follow each other, from `starts` to `ends`."""
+    needed = np.zeros(len(time_s), dtype=bool)
+    needed[starts] = needed[ends - 1] = True
+    inner = np.flatnonzero(~needed)
+    share = (time_s[inner] - time_s[inner - 1]) / (time_s[inner + 1] - time_s[inner - 1])
+    straight_deg = angle_deg[inner - 1] + share * (angle_deg[inner + 1] - angle_deg[inner - 1])
+    needed[inner] = np.abs(straight_deg - angle_deg[inner]) > _STRAIGHT_DEG
+    left = np.flatnonzero(~needed)
+    corners = np.flatnonzero(needed)
+    behind = np.searchsorted(corners, left)  # both ends of a trajectory are corners
+    a, b = corners[behind - 1], corners[behind]
+    slope = (angle_deg[b] - angle_deg[a]) / (time_s[b] - time_s[a])
+    off_deg = slope * (time_s[left] - time_s[a]) + angle_deg[a] - angle_deg[left]
+    far = left[~(np.abs(off_deg) * COUNTS_PER_DEG < 0.5)]
+    for robot in np.unique(np.searchsorted(ends, far, side="right")):
+        needed[starts[robot] : ends[robot]] = True
+    return needed
+
+
+def _rows_by_robot(needed: Flags, starts: Ints, ends: Ints) -> list[Ints]:
+    rows = np.flatnonzero(needed)
+    own = rows - np.repeat(starts, np.add.reduceat(needed, starts, dtype=np.int64))
+    cuts = np.searchsorted(rows, ends).tolist()
+    return [own[first:last] for first, last in zip([0, *cuts[:-1]], cuts, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
-from fiberloom.report.figures import figure_with, number_points, save
+from fiberloom.report.figures import figure_with_room, number_points, save
 from fiberloom.timing import part
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -29,7 +29,7 @@ _COLOURS = {MatchStatus.DARK: "orange", MatchStatus.AMBIGUOUS: "magenta"}
 @part("figures")
 def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     """The image with its spots; flagged ones in red."""
-    figure, axes = figure_with((11, 10))
+    figure, axes = figure_with_room((11, 10))
     _show(axes, image)
     flagged = (spots.flags & ~np.uint32(Flag.COSMIC)) != 0
     _ring(axes, spots.xy_px[~flagged], "deepskyblue")
@@ -82,7 +82,7 @@ def _ring(axes: Any, at: Floats, colour: str, size: float = 30, marker: str = "o
 
 
 def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
-    figure, axes = figure_with((12, 12))
+    figure, axes = figure_with_room((12, 12))
     _show(axes, reduction.image)
     spots, seen = reduction.spots, reduction.seen
     _ring(axes, spots.xy_px[reduction.acquisition.spot], "lime", size=50, marker="s")
@@ -121,7 +121,7 @@ def _mark_missing(axes: Any, plane: FocalPlane, reduction: Reduction) -> None:
 
 
 def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm: Floats | None) -> None:
-    figure, (left, right) = figure_with((16, 8), 1, 2)
+    figure, (left, right) = figure_with_room((16, 8), 2)
     fit = reduction.acquisition.fit
     at = plane.fiducials[reduction.acquisition.fiducial, :2]
     loo_um = UM_PER_MM * fit.leave_one_out_mm
@@ -171,7 +171,7 @@ def _plot_distortion(path: Path, reduction: Reduction) -> None:
     at = reduction.transform.to_mm(grid)
     inside = np.hypot(*at.T) < 1.05 * reduction.transform.radius_mm
     bend = UM_PER_MM * reduction.transform.distortion_mm(grid[inside])
-    figure, axes = figure_with((9, 8.5))
+    figure, axes = figure_with_room((9, 8.5))
     _arrows(axes, at[inside], bend)
     axes.set_title(f"distortion beyond shift, scale and rotation: {np.hypot(*bend.T).max():.0f} µm at most")
     save(figure, path, 110)

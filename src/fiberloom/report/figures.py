@@ -32,6 +32,33 @@ def figure_with(
     return figure, figure.subplots(rows, columns, **how)
 
 
+_ROOM_IN = {"left": 0.8, "right": 0.2, "bottom": 0.6, "top": 0.45}
+_BETWEEN_IN = 0.85
+
+
+def figure_with_room(size_in: tuple[float, float], columns: int = 1) -> tuple[Figure, Any]:
+    """As `figure_with` one row of axes, whose room is measured beforehand: two lines of text above them, and
+    numbers of five figures and a line of text beside and below.
+
+    To measure what is written there takes as long as to draw it. `size_in`: width and height in inches,
+    25.4 mm each; `columns` of axes.
+    """
+    (width, height), room = size_in, _ROOM_IN
+    each = (width - room["left"] - room["right"] - (columns - 1) * _BETWEEN_IN) / columns
+    figure = Figure(figsize=size_in)
+    return figure, figure.subplots(
+        1,
+        columns,
+        gridspec_kw={
+            "left": room["left"] / width,
+            "right": 1.0 - room["right"] / width,
+            "bottom": room["bottom"] / height,
+            "top": 1.0 - room["top"] / height,
+            "wspace": _BETWEEN_IN / each,
+        },
+    )
+
+
 @part("figures")
 def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
     """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`.

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import NullFormatter
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.report.figures import figure_with, save
+from fiberloom.report.figures import figure_with_room, save
 from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats
 
@@ -38,7 +38,7 @@ def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> No
 
     `path`: file to write; `plane`: the N positioners; `picture`: what is drawn of them.
     """
-    figure, axes = figure_with((10, 9.2))
+    figure, axes = figure_with_room((10, 9.2))
     draw_focal_plane(axes, plane, picture)
     frame_positioners(axes, plane)
     save(figure, path)
@@ -102,7 +102,7 @@ def plot_errors(
     `path`: file to write; `errors_um`: (n,) for each move, with its name in `labels`; `requirement_um`:
     drawn as a line; `title`: the result, as of `errors_title`.
     """
-    figure, axes = figure_with((8, 5))
+    figure, axes = figure_with_room((8, 5))
     for error, label in zip(errors_um, labels, strict=True):
         values = np.sort(error[np.isfinite(error)])
         if not len(values):

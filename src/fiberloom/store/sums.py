@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Table, and_, insert, select, update
@@ -145,9 +146,15 @@ def _table(row: type[Base]) -> Table:
 
 
 def _sum(table: Table, values: Row, left_out: Iterable[str] = ()) -> int:
-    skip = {"id", SUM, *left_out}
-    parts = [_as_read(c.type.python_type, values.get(c.name)) for c in table.columns if c.name not in skip]
+    parts = [_as_read(kind, values.get(name)) for name, kind in _summed(table, frozenset(left_out))]
     return zlib.crc32(repr(parts).encode("utf-8", errors="surrogatepass"))
+
+
+@cache
+def _summed(table: Table, left_out: frozenset[str]) -> list[tuple[str, type]]:
+    """Columns that a sum covers, and the Python types of their values."""
+    skip = {"id", SUM, *left_out}
+    return [(c.name, c.type.python_type) for c in table.columns if c.name not in skip]
 
 
 def _as_read(kind: type, value: Any) -> Any:

@@ -163,7 +163,7 @@ def _lines(rng: Rng) -> dict[int, float]:
 
 def _wave(amplitude: float, rng: Rng) -> tuple[float, float]:
     phase = 2.0 * math.pi * rng.random()
-    size = amplitude * (1.0 + 0.2 * held(rng, 1)[0])
+    size = amplitude * (1.0 + 0.2 * min(max(rng.standard_normal(), -3.0), 3.0))  # as `held` one
     return size * math.cos(phase), size * math.sin(phase)
 
 

@@ -136,10 +136,14 @@ FL_CLONES void expose_sky(const SkyRow &sky, std::size_t at, const float *z, std
     std::uint16_t whole[stretch];
     for (std::size_t i = 0; i < stretch; ++i) {
         const float value = base[i] + z[i] * (spread[i] + z[i] * skew[i]);
-        const float kept = value > 0.0f ? (value < top ? value : top) : 0.0f;
+        const float below = value < top ? value : top; // a minimum and a maximum, each one instruction
+        const float kept = below > 0.0f ? below : 0.0f;
         whole[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>((kept + magic) - magic));
     }
-    std::memcpy(adu, whole, count * sizeof *adu);
+    if (count == stretch)
+        std::memcpy(adu, whole, sizeof whole); // of a length that the compiler knows
+    else
+        std::memcpy(adu, whole, count * sizeof *adu);
 }
 
 // One row after the other by one thread; each has its own random numbers, so that rows may be made in any

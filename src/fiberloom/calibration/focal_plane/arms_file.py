@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.table import Table
 
 from fiberloom.calibration.focal_plane.fiducials import Fiducials
 from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalPlaneFit
 from fiberloom.errors import InputError, one_line
-from fiberloom.files import read_bytes
 from fiberloom.instruments import FocalPlane
-from fiberloom.tables import check_sum, write_summed
+from fiberloom.tables import TableFile, read_ecsv, write_columns
 from fiberloom.typing import Array, Floats
 from fiberloom.units import MM_PER_UM, rad_to_deg
 
@@ -50,9 +46,9 @@ def save_arms(path: str | Path, fit: FocalPlaneFit, marks: Mapping[str, Any]) ->
         "covariance": covariance,
         "reason": np.array(fit.reason, dtype=np.str_),
     }
-    table = Table(columns, meta={"format": FORMAT, "format_version": FORMAT_VERSION, **marks})
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION, **marks}
     try:
-        write_summed(Path(path), table)
+        write_columns(Path(path), columns, head)
     except OSError as error:
         raise InputError(f"{path}: cannot write the arms: {error.strerror or error}") from None
 
@@ -82,7 +78,7 @@ def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: floa
 
 def arms_measured_C(path: str | Path) -> float | None:
     """Temperature at which the arms of a file were measured, deg C; None where it was not noted."""
-    found = _read(Path(path)).meta.get(MEASURED_C)
+    found = _read(Path(path)).head.get(MEASURED_C)
     return float(found) if isinstance(found, int | float) and np.isfinite(found) else None
 
 
@@ -91,32 +87,32 @@ def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFi
         table = _read(Path(path))
         _as_fit(table)  # whole, before a part of it is taken
         _check_sound(table)
-        fiducials = Fiducials.of_meta(table.meta, plane.fiducials[:, :2])
+        fiducials = Fiducials.of_meta(table.head, plane.fiducials[:, :2])
     except (TypeError, ValueError, OverflowError) as error:
         named = str(error).startswith(str(path))
         raise InputError(str(error) if named else f"{path}: {one_line(error)}; calibrate again") from None
     known = {int(p): row for row, p in enumerate(plane.positioner_id)}
-    here = np.array([int(p) in known for p in table["positioner_id"]], dtype=bool)
+    here = np.array([int(p) in known for p in table.columns["positioner_id"]], dtype=bool)
     if not here.any():
         raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
-    table = table[here]
-    return np.array([known[int(p)] for p in table["positioner_id"]]), _as_fit(table), fiducials
+    fit = _as_fit(table.select(np.flatnonzero(here)))
+    return np.array([known[int(p)] for p in fit.positioner_id]), fit, fiducials
 
 
-def _as_fit(table: Table) -> FocalPlaneFit:
+def _as_fit(table: TableFile) -> FocalPlaneFit:
     n = len(table)
-    values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in _COLUMNS])
-    covariance = np.asarray(table["covariance"], dtype=np.float64).reshape(n, N_GEOMETRY, N_GEOMETRY)
+    values = np.column_stack([np.asarray(table.columns[name], dtype=np.float64) for name in _COLUMNS])
+    covariance = np.asarray(table.columns["covariance"], dtype=np.float64).reshape(n, N_GEOMETRY, N_GEOMETRY)
     return FocalPlaneFit(
-        positioner_id=np.asarray(table["positioner_id"], dtype=np.int64),
+        positioner_id=np.asarray(table.columns["positioner_id"], dtype=np.int64),
         parameters=values / _UNITS,
         covariance=covariance / np.outer(_UNITS, _UNITS),
-        rank=np.asarray(table["rank"], dtype=np.int64),
-        reason=[str(r) for r in table["reason"]],
+        rank=np.asarray(table.columns["rank"], dtype=np.int64),
+        reason=[str(r) for r in table.columns["reason"]],
         used=np.ones((n, 0), dtype=bool),
-        n_outliers=np.asarray(table["n_outliers"], dtype=np.int64),
-        rms_um=np.asarray(table["rms_um"], dtype=np.float64),
-        chi2_dof=np.asarray(table["chi2_dof"], dtype=np.float64),
+        n_outliers=np.asarray(table.columns["n_outliers"], dtype=np.int64),
+        rms_um=np.asarray(table.columns["rms_um"], dtype=np.float64),
+        chi2_dof=np.asarray(table.columns["chi2_dof"], dtype=np.float64),
         angles_deg=(np.nan, np.nan),
     )
 
@@ -125,15 +121,15 @@ MOST = 1e6
 """Of an arm in mm and deg, and of its variance; what is beyond was never measured."""
 
 
-def _check_sound(table: Table) -> None:
+def _check_sound(table: TableFile) -> None:
     """Raises InputError where a positioner that counts as measured was not: no number, or beyond sense."""
-    ids = np.asarray(table["positioner_id"])
+    ids = np.asarray(table.columns["positioner_id"])
     if ids.dtype.kind not in "iu" or len(np.unique(ids)) < len(ids):
         raise InputError("positioner_id: whole numbers, each once, are needed")
-    values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in _COLUMNS])
-    covariance = np.asarray(table["covariance"], dtype=np.float64).reshape(len(ids), -1)
+    values = np.column_stack([np.asarray(table.columns[name], dtype=np.float64) for name in _COLUMNS])
+    covariance = np.asarray(table.columns["covariance"], dtype=np.float64).reshape(len(ids), -1)
     for row in range(len(ids)):
-        if table["reason"][row]:
+        if table.columns["reason"][row]:
             continue
         for name, numbers in (("its arms", values[row]), ("its covariance", covariance[row])):
             bad = ~(np.abs(numbers) <= MOST)
@@ -141,22 +137,15 @@ def _check_sound(table: Table) -> None:
                 raise InputError(f"positioner {ids[row]}: {numbers[bad][0]:g} in {name}")
 
 
-def _read(path: Path) -> Table:
+def _read(path: Path) -> TableFile:
     if not path.is_file():
         raise InputError(f"{path}: no such file; make one with 'fiberloom calibrate focal-plane'")
-    content = read_bytes(path)
-    check_sum(path, content)
-    try:
-        with warnings.catch_warnings(action="ignore"):  # the error says it
-            table = Table.read(io.BytesIO(content), format="ascii.ecsv")
-    except Exception as error:  # astropy raises whatever its readers meet
-        raise InputError(f"{path}: not a file of arms: {one_line(error)}") from None
-    found = table.meta.get("format"), table.meta.get("format_version")
-    missing = [c for c in ("positioner_id", *_COLUMNS, "covariance", "reason") if c not in table.colnames]
+    table = read_ecsv(path)
+    found = table.head.get("format"), table.head.get("format_version")
+    missing = [c for c in ("positioner_id", *_COLUMNS, "covariance", "reason") if c not in table]
     if found != (FORMAT, FORMAT_VERSION) or missing:
         raise InputError(
             f"{path}: not a file of arms that this version reads (format {found[0]} {found[1]}, "
             f"missing columns {', '.join(missing) or 'none'}); calibrate again"
         )
-    table["reason"] = [str(r) if r is not np.ma.masked else "" for r in table["reason"]]
     return table

@@ -291,16 +291,16 @@ class TransmissionMaps:
             return []
         counts = [len(path) for path in paths_deg]
         all_deg, row = np.concatenate(list(paths_deg)), np.repeat(np.asarray(rows, dtype=np.int64), counts)
-        ends = np.cumsum(counts)
+        ends = np.cumsum(counts).tolist()
+        ways = [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
         wire = np.empty(all_deg.shape)
         for axis in range(all_deg.shape[1]):
             x = all_deg[:, axis]
             source, goal = self.output_deg[:, axis, side], self.wire_deg[:, axis, side]
-            parts = zip(rows, np.split(x, ends[:-1]), strict=True)
-            k = np.concatenate([_segments(source[at], part) for at, part in parts])
+            k = np.concatenate([_segments(source[at], x[way]) for at, way in zip(rows, ways, strict=True)])
             k = k.clip(0, source.shape[-1] - 2)
             wire[:, axis] = _between(x, source[row, k], source[row, k + 1], goal[row, k], goal[row, k + 1])
-        return np.split(wire, ends[:-1])
+        return [wire[way] for way in ways]
 
     def _map(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from fiberloom.bus.client import Client
 from fiberloom.bus.motion import RECONNECT_S, MotionWatch
@@ -25,6 +25,7 @@ from fiberloom.drive.sdssv.rest import REST_TIMEOUT_S, AtRest
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
 from fiberloom.planning import Plan, Trajectory, Verification, plan, plan_corrections
+from fiberloom.planning.trajectories import corners_of
 from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -139,18 +140,19 @@ class SdssvDrive:
         moving = [robot for robot in planned.robots if robot.moves]
         rows = self.plane.index_of([robot.positioner_id for robot in moving]).tolist()
         wire_deg = self.maps.paths_to_wire(rows, [robot.points_deg for robot in moving])
-        return {r.positioner_id: _at_corners(r, wire) for r, wire in zip(moving, wire_deg, strict=True)}
+        return dict(
+            zip([robot.positioner_id for robot in moving], _at_corners(moving, wire_deg), strict=True)
+        )
 
 
 def on_the_wire(maps: TransmissionMaps, row: int, robot: Trajectory) -> WireTrajectory:
     """What is sent of the way of the positioner in `row`: motor angles by `maps`, at the corners."""
-    return _at_corners(robot, maps.path_to_wire(row, robot.points_deg))
+    return _at_corners([robot], [maps.path_to_wire(row, robot.points_deg)])[0]
 
 
-def _at_corners(robot: Trajectory, wire_deg: Floats) -> WireTrajectory:
-    """Of `wire_deg` (M, 2), the motor angles at all its points, those that its axes need."""
-    corners = robot.corners(0), robot.corners(1)
-    return WireTrajectory.from_deg(robot.time_s, wire_deg[:, 0], wire_deg[:, 1], corners)
+def _at_corners(robots: Sequence[Trajectory], wire_deg: Sequence[Floats]) -> list[WireTrajectory]:
+    """Of `wire_deg` (M, 2) of each, the motor angles at all its points, those that its axes need."""
+    return WireTrajectory.all_from_deg([robot.time_s for robot in robots], wire_deg, corners_of(robots))
 
 
 async def when_linked(client: Client, ids: Iterable[int], within_s: float = RECONNECT_S) -> bool:

@@ -146,3 +146,11 @@ class FasterBus(LeftOpen):
     async def close(self) -> None:
         """Closes the bus."""
         await self._transport.close()
+
+
+STEPPERS: dict[str, type[OpenedSteppers]] = {
+    "lamost": OpenedLamost,
+    "megara": OpenedMegara,
+    "moons": OpenedMoons,
+}
+"""Arrays of steppers by their protocol."""

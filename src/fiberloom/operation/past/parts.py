@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from astropy.table import Table
 
 from fiberloom.assignment import Assignment
 from fiberloom.instruments import FocalPlane, Instrument
@@ -90,6 +89,8 @@ def record_fibermap(run: Run, observed: ObservedField) -> None:
 
 def fibermap_of(part: RunPart) -> FibreMap:
     """Where every fibre looked, of a part."""
+    from astropy.table import Table
+
     return FibreMap(Table(part.arrays, meta=part.head["meta"]), part.head["confsummary"])
 
 

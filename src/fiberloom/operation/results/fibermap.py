@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy.table import Table
 
 from fiberloom.health.status import FibreFlag
 from fiberloom.instruments import METROLOGY
@@ -27,6 +26,8 @@ from fiberloom.units import UM_PER_MM
 from fiberloom.wholefile import whole, write_whole
 
 if TYPE_CHECKING:
+    from astropy.table import Table
+
     from fiberloom.operation.results.observed import ObservedField
 
 FIBERMAP, CONFSUMMARY = "fibermap.fits", "confSummaryF.par"
@@ -48,6 +49,8 @@ def fibermap(observed: ObservedField) -> Table:
         target in arcsec (east with the cosine of the declination); NaN where there is no target or nothing
         was seen. STATUS has the bits of `FibreFlag`.
     """
+    from astropy.table import Table
+
     sky = observed.targets.on_sky
     assert sky is not None
     chain = sky.then((len(observed.about.get("series", [0])) - 1) * sky.field.cadence_s)

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy.table import Table, vstack
 from numpy.typing import NDArray
 
 from fiberloom.health.status import FAULTS, FibreFlag, FibreStatus, grade
 from fiberloom.operation.move import Move
 from fiberloom.report.focal_plane import FieldPicture, errors_title, plot_errors, plot_focal_plane
-from fiberloom.tables import write_summed
+from fiberloom.tables import write_columns
 from fiberloom.timing import part
-from fiberloom.typing import Floats, Ints
+from fiberloom.typing import Array, Floats, Ints
 from fiberloom.wholefile import write_whole
 
 if TYPE_CHECKING:
@@ -30,39 +29,38 @@ _OF_STATUS = {
 }
 
 
-def fibres_table(observed: ObservedField) -> Table:
+def fibres_columns(observed: ObservedField) -> dict[str, Array]:
     """One row for every positioner and move, with the columns of docs/files.md."""
-    return vstack([_fibres_of(observed, move) for move in observed.moves])
+    moves = [_fibres_of(observed, move) for move in observed.moves]
+    return {name: np.concatenate([move[name] for move in moves]) for name in moves[0]}
 
 
-def _fibres_of(observed: ObservedField, move: Move) -> Table:
+def _fibres_of(observed: ObservedField, move: Move) -> dict[str, Array]:
     plane, assignment = observed.plane, observed.assignment
     target, goal = observed.target_mm(move), observed.metrology_goal_mm(move)
     names = np.append(observed.targets.target_id, "")  # index -1: no target
     nothing = np.full((len(plane), 2), np.nan)
     true, true_um = move.true_mm, observed.true_error_um(move)
     seen = move.measurement.seen
-    return Table(
-        {
-            "positioner_id": plane.positioner_id,
-            "fibre": assignment.fibre,
-            "target_id": names[assignment.target],
-            "move": np.full(len(plane), move.number),
-            **_pair("target", target),
-            "alpha_deg": assignment.alpha_deg,
-            "beta_deg": assignment.beta_deg,
-            **_pair("metrology_goal", goal),
-            **_pair("measured", np.where(seen[:, None], move.measurement.xy_mm, np.nan)),
-            **_pair("true", nothing if true is None else true),
-            **(_pair("star", observed.star_mm(move)) if _has_stars(observed) else {}),
-            "measured_error_um": move.measured_error_um,
-            "true_error_um": nothing[:, 0] if true_um is None else true_um,
-            "error_um": observed.error_um(move),
-            "status": np.array([status.value for status in move.status]),
-            "grade": _grades(observed, move),
-            "flags": flags_of(observed, move),
-        }
-    )
+    return {
+        "positioner_id": plane.positioner_id,
+        "fibre": assignment.fibre,
+        "target_id": names[assignment.target],
+        "move": np.full(len(plane), move.number),
+        **_pair("target", target),
+        "alpha_deg": assignment.alpha_deg,
+        "beta_deg": assignment.beta_deg,
+        **_pair("metrology_goal", goal),
+        **_pair("measured", np.where(seen[:, None], move.measurement.xy_mm, np.nan)),
+        **_pair("true", nothing if true is None else true),
+        **(_pair("star", observed.star_mm(move)) if _has_stars(observed) else {}),
+        "measured_error_um": move.measured_error_um,
+        "true_error_um": nothing[:, 0] if true_um is None else true_um,
+        "error_um": observed.error_um(move),
+        "status": np.array([status.value for status in move.status]),
+        "grade": _grades(observed, move),
+        "flags": flags_of(observed, move),
+    }
 
 
 def _has_stars(observed: ObservedField) -> bool:
@@ -99,12 +97,10 @@ def flags_of(observed: ObservedField, move: Move) -> Ints:
 @part("files")
 def write_results(observed: ObservedField, summary: Mapping[str, Any], out: Path) -> None:
     """Writes every result file into the folder `out`, which exists."""
-    table = fibres_table(observed)
-    table.meta = {k: summary[k] for k in MARKS}
-    table.meta["flags"] = {flag.name: int(flag) for flag in FibreFlag}
-    write_summed(out / "fibres.ecsv", table)
-    plans = {"plans": [move.plan.to_dict() for move in observed.moves]}
-    plans |= {k: summary[k] for k in MARKS}
+    marks = {k: summary[k] for k in MARKS}
+    flags = {flag.name: int(flag) for flag in FibreFlag}
+    write_columns(out / "fibres.ecsv", fibres_columns(observed), marks | {"flags": flags})
+    plans = {"plans": [move.plan.to_dict() for move in observed.moves]} | marks
     write_whole(out / "trajectories.json", json.dumps(plans) + "\n")
     _plot(observed, out)
     # last: where it is, all are

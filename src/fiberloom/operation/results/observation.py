@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from astropy import units as u
-from astropy.table import QTable
-
 from fiberloom.errors import InputError
-from fiberloom.operation.results.files import MARKS, fibres_table, picture, write_results
+from fiberloom.operation.results.files import MARKS, fibres_columns, picture, write_results
 from fiberloom.operation.results.observed import ObservedField
 from fiberloom.operation.results.summary import summarise
 from fiberloom.report.figures import new_axes
@@ -19,9 +16,11 @@ from fiberloom.report.outputs import prepare_folder
 from fiberloom.richtext import html_rows
 
 if TYPE_CHECKING:
+    from astropy.table import QTable
     from matplotlib.axes import Axes
 
-_UNITS = {"mm": u.mm, "deg": u.deg, "um": u.um}
+_UNITS = ("mm", "deg", "um")
+"""At the end of the name of a column; astropy calls them so too."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +130,12 @@ class Observation(ObservedField):
         >>> len(table), str(table["x_measured_mm"].unit), str(table["error_um"].unit)
         (14, 'mm', 'um')
         """
-        table = QTable(fibres_table(self))
+        from astropy.table import QTable  # takes a third of a second: only where it is needed
+
+        table = QTable(fibres_columns(self))
         for name in table.colnames:
-            unit = _UNITS.get(name.rpartition("_")[2])
-            if unit is not None:
-                table[name] = table[name] * unit
+            if (unit := name.rpartition("_")[2]) in _UNITS:
+                table[name].unit = unit
         table.meta = {key: value for key, value in self.about.items() if key in MARKS}
         return table
 

@@ -82,10 +82,11 @@ def verify_supply(
     care = plane.instrument.care
     edges = np.unique(np.concatenate([np.zeros(1), *(robot.time_s for robot in plan.robots)]))
     middle = 0.5 * (edges[:-1] + edges[1:])
+    own_deg_s = np.array([axis.speed_deg_s for axis in plane.instrument.axes])
     current_A, at_a_time = np.zeros(len(middle)), np.zeros(len(middle), dtype=np.int64)
     for robot in plan.robots:
         if robot.moves:
-            share = _speed_share(plane, robot.time_s, robot.points_deg, middle)
+            share = _speeds_deg_s(robot.time_s, robot.points_deg, middle) / own_deg_s
             turns = share > 0.0
             current_A += (turns * care.motor_friction_A + share * care.motor_speed_A).sum(axis=1)
             at_a_time += turns.any(axis=1)
@@ -100,12 +101,9 @@ def verify_supply(
     )
 
 
-def _speed_share(plane: FocalPlane, time_s: Floats, points_deg: Floats, at_s: Floats) -> Floats:
-    """(M, 2) speeds of alpha and beta at these moments (M,), as shares of the axes' own; 0 after the end."""
+def _speeds_deg_s(time_s: Floats, points_deg: Floats, at_s: Floats) -> Floats:
+    """(M, 2) speeds of alpha and beta at these moments (M,); 0 after the end."""
     piece = np.searchsorted(time_s, at_s, side="right") - 1
-    on_its_way = piece < len(time_s) - 1
-    piece = np.where(on_its_way, piece, 0)
-    way_deg = points_deg[piece + 1] - points_deg[piece]
-    speed = np.abs(way_deg) / (time_s[piece + 1] - time_s[piece])[:, None]
-    share: Floats = np.where(on_its_way[:, None], speed, 0.0) / [a.speed_deg_s for a in plane.instrument.axes]
-    return share
+    each = np.abs(np.diff(points_deg, axis=0)) / np.diff(time_s)[:, None]
+    speeds: Floats = np.concatenate([each, np.zeros((1, 2))])[piece]
+    return speeds

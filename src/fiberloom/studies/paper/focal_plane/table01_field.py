@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +24,12 @@ from fiberloom.studies.paper.focal_plane.table01_rows import Row
 from fiberloom.studies.paper.memory import forget_peak, peak_bytes
 from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.targets import random_targets
-from fiberloom.twin.motors.arrays import AnySource, source_of
+from fiberloom.twin.motors.arrays import source_of
 from fiberloom.typing import Flags, Floats
 from fiberloom.units import UM_PER_MM
+
+if TYPE_CHECKING:
+    from fiberloom.twin.motors.arrays import AnySource
 
 TARGETS_PER_UNIT = 3
 SWEEP_POINTS = 100

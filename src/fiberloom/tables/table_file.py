@@ -65,7 +65,10 @@ class TableFile:
     def select(self, rows: Ints) -> "TableFile":
         """Some rows of it, which keep their places."""
         chosen = rows.tolist()
-        columns = {name: [cells[k] for k in chosen] for name, cells in self.columns.items()}
+        columns: dict[str, Any] = {
+            name: cells[rows] if isinstance(cells, np.ndarray) else [cells[k] for k in chosen]
+            for name, cells in self.columns.items()
+        }
         return TableFile(self.path, columns, [self.places[k] for k in chosen], self.head)
 
     def error(self, row: int, name: str, problem: str) -> InputError:
@@ -104,8 +107,11 @@ class TableFile:
             first[value] = row
 
     def _convert(self, name: str, kind: Callable[[Any], Any], dtype: type, noun: str) -> Array:
+        cells = self.columns[name]
+        if isinstance(cells, np.ndarray) and cells.dtype.kind in "iuf" and np.can_cast(cells.dtype, dtype):
+            return cells.astype(dtype)
         out: Array = np.empty(len(self), dtype=dtype)
-        for row, value in enumerate(self.columns[name]):
+        for row, value in enumerate(cells):
             try:
                 out[row] = kind(_plain(value))
             except (TypeError, ValueError, OverflowError):
@@ -125,7 +131,7 @@ def read_table(path: str | Path) -> TableFile:
         raise InputError(f"{path}: no such file")
     if suffix == ".csv.gz" or (suffix == ".csv" and not _is_ecsv(path)):
         return read_csv(path)
-    return _read_astropy(path, "ascii.ecsv" if suffix in (".csv", ".ecsv") else "fits")
+    return read_ecsv(path) if suffix in (".csv", ".ecsv") else _read_fits(path)
 
 
 DELIMITERS = ",;\t"
@@ -176,35 +182,46 @@ def _is_ecsv(path: Path) -> bool:
         return file.read(16).replace(b" ", b"").startswith(b"#%ECSV")
 
 
-def _read_astropy(path: Path, kind: str) -> TableFile:
-    from astropy.table import Table  # takes a third of a second: only where it is needed
+def read_ecsv(path: Path) -> TableFile:
+    """Read an ECSV file, whatever its suffix; masked cells are empty.
+
+    InputError where the file at `path` cannot be read, or is not what was written.
+    """
+    from fiberloom.tables import ecsv  # it takes a YAML reader
 
     content = read_bytes(path)
-    if kind == "fits":
-        check_axes(path, io.BytesIO(content))
-    else:
-        check_sum(path, content)
+    check_sum(path, content)
+    if (plain := ecsv.read(content)) is not None:
+        return _by_row(path, plain.columns, plain.head)
+    return _by_astropy(path, content, "ascii.ecsv")
+
+
+def _read_fits(path: Path) -> TableFile:
+    content = read_bytes(path)
+    check_axes(path, io.BytesIO(content))
+    return _by_astropy(path, content, "fits")
+
+
+def _by_row(path: Path, columns: Mapping[str, Any], head: Mapping[str, Any]) -> TableFile:
+    rows = len(next(iter(columns.values()), ()))
+    return TableFile(path, columns, [f"row {i + 1}" for i in range(rows)], head)
+
+
+def _by_astropy(path: Path, content: bytes, kind: str) -> TableFile:
+    from astropy.table import Table  # takes a third of a second: only where it is needed
+
     try:
         with warnings.catch_warnings(action="ignore"):  # the error says it
             table = Table.read(io.BytesIO(content), format=kind)
     except Exception as error:  # astropy raises many kinds for a broken file
         raise InputError(f"{path}: cannot be read as {kind}: {one_line(error)}") from None
     columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
-    return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))], dict(table.meta))
+    return _by_row(path, columns, dict(table.meta))
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
     """Write rows of like keys as ECSV, with `head` in its header; None becomes NaN."""
     write_columns(path, {key: [_cell(row[key]) for row in rows] for key in rows[0]} if rows else {}, head)
-
-
-@part("files")
-def write_columns(path: Path, columns: Mapping[str, Sequence[Any]], head: Mapping[str, Any]) -> None:
-    """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text."""
-    from astropy.table import Table
-
-    cells = {name: column if len(column) else np.empty(0, "U1") for name, column in columns.items()}
-    write_summed(path, Table(cells, meta=dict(head)))
 
 
 SUM = "rows_sum"
@@ -213,15 +230,21 @@ _NO_SUM = "sha256-" + 16 * "0"
 
 
 @part("files")
-def write_summed(path: Path, table: Any) -> None:
-    """Write an astropy table as ECSV with the sum of its rows in the header: a file that was cut short is
-    not taken for one with fewer rows.
+def write_columns(path: Path, columns: Mapping[str, Any], head: Mapping[str, Any]) -> None:
+    """Write columns of like length as ECSV, with `head` in its header; empty ones are columns of text.
+
+    The sum of the rows is in the header: a file that was cut short is not taken for one with fewer rows.
     """
-    table = table.copy(copy_data=False)
-    table.meta[SUM] = _NO_SUM
-    text = io.StringIO()
-    table.write(text, format="ascii.ecsv")
-    write_whole(path, text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1))
+    from fiberloom.tables import ecsv
+
+    cells = {name: column if len(column) else _emptied(column) for name, column in columns.items()}
+    text = ecsv.text_of(cells, {**head, SUM: _NO_SUM})
+    write_whole(path, text.replace(_NO_SUM, _sum_of(text), 1))
+
+
+def _emptied(column: Any) -> Array:
+    """A column without rows: an array as it is, a list as one of text."""
+    return column if isinstance(column, np.ndarray) else np.empty(0, "U1")
 
 
 def check_sum(path: Path, content: bytes) -> None:
