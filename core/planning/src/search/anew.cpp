@@ -13,7 +13,7 @@ constexpr int repairs_of_a_knot = 300, joint_nodes_of_a_knot = 20000;
 constexpr std::int64_t work_of_a_knot = 700000;
 // The knot of a pair that resists grows, or begins anew, each time after a part of the repairs that are
 // otherwise made in vain. It grows where no more pairs resist, so often in vain before it begins anew.
-constexpr int share_before_anew = 6, few_pairs = 3, grows_in_vain = 2;
+constexpr int share_before_anew = 8, few_pairs = 3, grows_in_vain = 2;
 // A knot that grows: how many it may be, how many join it at once, and work for it to the end.
 constexpr int most_of_a_knot = 12, join_at_once = 2;
 constexpr std::int64_t work_of_growing = 800000;

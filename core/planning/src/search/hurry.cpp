@@ -18,12 +18,12 @@ constexpr int least_around = 2, most_around = 6; // of the neighbours near by, t
 // What this may take, as Repair::work counts it: so much for each step that one is too late, up to a most;
 // nothing where the plan has taken much already. A step less is found soon, or not. Of 500; of more
 // positioners as much more.
-constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 1500000,
+constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 1000000,
                        most_work_of_a_plan = 8000000, work_of_a_step_less = 100000;
 constexpr int usual_robots = 500;
 // The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
-// if it is far too late, so often, and each time that all that was in vain.
-constexpr int share_before_all = 10, grows_before_all = 2, share_in_the_end = 14, grows_in_the_end = 2;
+// if it is far too late, each time that all that was in vain, and so often in the end.
+constexpr int share_before_all = 10, share_in_the_end = 14, grows_in_the_end = 2;
 constexpr std::int64_t most_work_of_growing = 4500000;
 // What these take, in states that a search looks at.
 constexpr int work_of_a_joint_state = 20, work_of_a_guide = 300, work_of_a_flood = 20000;
@@ -107,8 +107,7 @@ bool Repair::start_some_again(PathIndex last, int behind, int far) {
 // grows again, until it arrives earlier or too much has been done.
 bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
     const int behind = paths_.arrival(last) - far;
-    for (int k = 0; k < grows_before_all && share_before_all * behind > far; ++k)
-        if (grow(last, far)) return true;
+    if (share_before_all * behind > far && grow(last, far)) return true;
     do {
         const std::int64_t before = work();
         const bool done = start_some_again(last, behind, far) || squeeze_in_the_end(last, wanted_steps);
