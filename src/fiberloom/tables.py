@@ -187,12 +187,8 @@ def read_ecsv(path: Path) -> TableFile:
 
     InputError where the file at `path` cannot be read, or is not what was written.
     """
-    from fiberloom.tables import ecsv  # it takes a YAML reader
-
     content = read_bytes(path)
     check_sum(path, content)
-    if (plain := ecsv.read(content)) is not None:
-        return _by_row(path, plain.columns, plain.head)
     return _by_astropy(path, content, "ascii.ecsv")
 
 
@@ -200,11 +196,6 @@ def _read_fits(path: Path) -> TableFile:
     content = read_bytes(path)
     check_axes(path, io.BytesIO(content))
     return _by_astropy(path, content, "fits")
-
-
-def _by_row(path: Path, columns: Mapping[str, Any], head: Mapping[str, Any]) -> TableFile:
-    rows = len(next(iter(columns.values()), ()))
-    return TableFile(path, columns, [f"row {i + 1}" for i in range(rows)], head)
 
 
 def _by_astropy(path: Path, content: bytes, kind: str) -> TableFile:
@@ -215,8 +206,15 @@ def _by_astropy(path: Path, content: bytes, kind: str) -> TableFile:
             table = Table.read(io.BytesIO(content), format=kind)
     except Exception as error:  # astropy raises many kinds for a broken file
         raise InputError(f"{path}: cannot be read as {kind}: {one_line(error)}") from None
-    columns = {n: ["" if v is np.ma.masked else v for v in table[n]] for n in table.colnames}
-    return _by_row(path, columns, dict(table.meta))
+    columns = {name: _cells(table[name]) for name in table.colnames}
+    return TableFile(path, columns, [f"row {i + 1}" for i in range(len(table))], dict(table.meta))
+
+
+def _cells(column: Any) -> Any:
+    """Of a column of astropy; those that are masked are empty text."""
+    if np.ma.is_masked(column):
+        return ["" if value is np.ma.masked else value for value in column]
+    return np.asarray(column)
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
@@ -235,11 +233,12 @@ def write_columns(path: Path, columns: Mapping[str, Any], head: Mapping[str, Any
 
     The sum of the rows is in the header: a file that was cut short is not taken for one with fewer rows.
     """
-    from fiberloom.tables import ecsv
+    from astropy.table import Table
 
     cells = {name: column if len(column) else _emptied(column) for name, column in columns.items()}
-    text = ecsv.text_of(cells, {**head, SUM: _NO_SUM})
-    write_whole(path, text.replace(_NO_SUM, _sum_of(text), 1))
+    text = io.StringIO()
+    Table(cells, meta={**head, SUM: _NO_SUM}).write(text, format="ascii.ecsv")
+    write_whole(path, text.getvalue().replace(_NO_SUM, _sum_of(text.getvalue()), 1))
 
 
 def _emptied(column: Any) -> Array:
