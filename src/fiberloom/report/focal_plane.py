@@ -38,7 +38,7 @@ def plot_focal_plane(path: Path, plane: FocalPlane, picture: FieldPicture) -> No
 
     `path`: file to write; `plane`: the N positioners; `picture`: what is drawn of them.
     """
-    figure, axes = figure_with_room((10, 9.2))
+    figure, axes = figure_with_room((10, 7.7))
     draw_focal_plane(axes, plane, picture)
     frame_positioners(axes, plane)
     save(figure, path)
