@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self, cast, runtime_checkable
 
+import numpy as np
+
 from fiberloom.bus.links import Link, links_of
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.calibration.transmission.sweep import Calibration, Progress
+from fiberloom.drive.port import Drive
 from fiberloom.errors import InputError
 from fiberloom.hardware import Guider, Hardware
 from fiberloom.instruments import FocalPlane
@@ -144,6 +147,10 @@ class OutsideArray:
     def named(self) -> dict[str, str]:
         """Bus and camera in words: equal for two commands to one array."""
         return {"bus": self.bus_name, "camera": self.camera_name or type(self.camera).__name__}
+
+    def driven_by(self, drive: Drive, n: int) -> Hardware:
+        """Its `n` positioners, moved by a `drive` of their own kind, and believed to be where that says."""
+        return Hardware(None, self.camera, vouched=np.ones(n, dtype=bool), drive=drive, guider=self.guider)
 
     async def sweep(self, points: int, progress: Progress) -> None:
         """None: an array has no bench."""

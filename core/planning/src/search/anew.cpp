@@ -144,8 +144,7 @@ int Repair::steps_in_conflict(PathIndex i) const {
 }
 
 // Those that conflict and are not of a knot, those that do for most steps first, or with most others where it
-// parts two. But for some that conflict with
-// none of it.
+// parts two; but not those of some that conflict with none of it.
 List<PathIndex> Repair::in_conflict(const List<PathIndex> &knot, const List<PathIndex> &but) const {
     const auto met = [&](PathIndex i) {
         const auto &theirs = paths_.at(i).conflicts;

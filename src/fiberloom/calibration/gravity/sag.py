@@ -62,9 +62,8 @@ class ArmSag:
         if len(np.unique(self.positioner_id)) < n:
             raise InputError("arm sag: a positioner appears twice")
         small: Flags = np.all(np.abs(self.sag_rad) <= MOST_RAD, axis=1)
-        for row in np.flatnonzero(self.ok & ~(small & are_covariances(self.covariance_rad2, MOST_RAD**2)))[
-            :1
-        ]:
+        sound = are_covariances(self.covariance_rad2, MOST_RAD**2)
+        for row in np.flatnonzero(self.ok & ~(small & sound))[:1]:
             name = f"positioner {self.positioner_id[row]}"
             if not small[row]:
                 raise InputError(f"{name}: turns by more than {MOST_RAD:g} rad at 1 g, or by no number")

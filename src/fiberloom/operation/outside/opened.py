@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Transport
 from fiberloom.drive.desi.drive import DesiDrive
@@ -54,8 +52,7 @@ class OpenedDesi(CanArray):
         maps = self._maps()
         drive = DesiDrive(self.plane, await self.opened_bus(whose=positioner_of), maps)
         drive.kept = self.kept_file
-        vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
+        return self.driven_by(drive, len(self.plane))
 
     def _maps(self) -> LearnedMaps | None:
         """As learnt so far; None: nothing, also where a file is to be kept that is not there yet."""
@@ -90,8 +87,7 @@ class OpenedCobras(OutsideArray):
             await to_its_end(drive.stop())
             await drive.close()
             raise
-        vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
+        return self.driven_by(drive, len(self.plane))
 
     def know(self, file: Path) -> None:
         """The motors are those of a summary of motor maps, in `file`."""

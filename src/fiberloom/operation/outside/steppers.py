@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fiberloom.bus.spec import BusSpec
 from fiberloom.bus.transport import Frame, Transport
 from fiberloom.drive.lamost import RadioTransport, TcpRadio, radio_address
@@ -64,8 +62,7 @@ class OpenedSteppers(OutsideArray):
                 "'fiberloom calibrate steppers'"
             )
         drive = StepperDrive(self.plane, await self._link(), self._known, self._maker())
-        vouched = np.ones(len(self.plane), dtype=bool)
-        return Hardware(None, self.camera, vouched=vouched, drive=drive, guider=self.guider)
+        return self.driven_by(drive, len(self.plane))
 
     async def _link(self) -> StepperLink:
         raise NotImplementedError
