@@ -50,16 +50,19 @@ class TouchTable {
     const Arms &arms() const { return arms_; }
     // Elbows that are farther apart than the root of this never touch, mm^2.
     float squared_reach_mm2() const { return squared_reach_mm2_; }
-    // Where the arm touches the other: from the direction of its elbow. theirs: the other's, from there too.
-    // @pre squared_mm2 is below the reach.
-    Directions at(float squared_mm2, TurnPart theirs) const {
-        const int row = static_cast<int>(squared_mm2 * (1.0f / row_mm2));
-        return rows_[row * columns + (theirs >> column_bits)];
+    // Distances of the elbows that are taken together, squared.
+    static constexpr float row_mm2 = 6.0f; // 0.2 mm at 8 mm either way, 0.05 mm at 30 mm
+    // A place in the table, or several at once. row: the squared distance of the elbows in units of row_mm2,
+    // without its fraction; theirs: the direction of the other, from that of its elbow, in parts of a turn.
+    template <class Integer> static Integer place_of(Integer row, Integer theirs) {
+        return row * columns + ((theirs & 0xffff) >> column_bits);
     }
+    // Where the arm touches the other: from the direction of its elbow.
+    // @pre the distance is below the reach.
+    Directions at(int place) const { return rows_[place]; }
 
   private:
-    static constexpr float row_mm2 = 6.0f; // 0.2 mm at 8 mm either way, 0.05 mm at 30 mm
-    static constexpr int column_bits = 8;  // 1.4 deg each
+    static constexpr int column_bits = 8; // 1.4 deg each
     static constexpr int columns = 1 << (16 - column_bits);
 
     Directions touching(double elbows_mm, Turn theirs) const;

@@ -40,6 +40,11 @@ FL_INLINE Float8 load(const float *p) {
     std::memcpy(&v, p, sizeof v);
     return v;
 }
+FL_INLINE Int8 load(const std::int32_t *p) {
+    Int8 v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
 FL_INLINE Float8 lower(Float8 a, Float8 b) { return a < b ? a : b; }
 FL_INLINE Float8 clamped01(Float8 t) {
     const Float8 above = t > all(0.0f) ? t : all(0.0f);
@@ -55,6 +60,13 @@ FL_INLINE Int8 directions_of(Float8 x, Float8 y) {
     const Float8 half = x < all(0.0f) ? all(single(pi)) - first : first;
     const Float8 angle = y < all(0.0f) ? -half : half;
     return __builtin_convertvector(angle * single(parts_per_rad) + 65536.5f, Int8);
+}
+// So many blocks as are taken at a time.
+FL_INLINE std::uint64_t some_blocks(const CellBlock *first) {
+    std::uint64_t word;
+    static_assert(sizeof word == at_a_time * sizeof *first);
+    std::memcpy(&word, first, sizeof word);
+    return word;
 }
 // Bit k where the lane k of the mask is set.
 FL_INLINE std::uint64_t bits_of(Int8 mask) {
@@ -80,22 +92,36 @@ BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour,
                               TouchTables &tables) {
     Kept &known = kept(slot, neighbour, at);
     if (known.begin < 0) {
-        look_.assign((me.beta().size() + 1) * blocks_per_line(me), 0);
-        if (!look_up(me, neighbour, at, need_mm, tables)) look_all(me, neighbour, at, need_mm);
-        known = keep(me);
+        look_.assign((me.beta().size() + 1) * blocks_per_line(me) + at_a_time, 0);
+        const bool borders = look_up(me, neighbour, at, need_mm, tables);
+        if (!borders) look_all(me, neighbour, at, need_mm);
+        known = keep(blocks_per_line(me), borders);
     }
     return {known.first, known.end, blocks_.data() + known.begin};
 }
 
 // The lines of the last look that have any, from the first to the last one.
-BlockedCells::Kept BlockedCells::keep(const Robot &me) {
-    const int width = blocks_per_line(me), begin = blocks_.size();
-    int first = 0, end = me.beta().size() * width;
-    while (first < end && look_[first] == 0) ++first;
-    while (first < end && look_[end - 1] == 0) --end;
-    first /= width, end = (end + width - 1) / width;
+BlockedCells::Kept BlockedCells::keep(int width, bool borders) {
+    const int begin = blocks_.size();
+    const auto [first_used, end_used] = used_blocks();
+    const int first = first_used / width;
+    // no cell is beyond the last border
+    const int end = borders ? (end_used - 1) / width : (end_used + width - 1) / width;
+    if (borders) fill(width, first, end);
     blocks_.insert(blocks_.end(), look_.begin() + first * width, look_.begin() + end * width);
     return {begin, static_cast<std::int16_t>(first), static_cast<std::int16_t>(end)};
+}
+
+// From the first one of the last look that is not empty to the one after the last; 0, 0: all are.
+std::pair<int, int> BlockedCells::used_blocks() const {
+    const auto empty = [&](int from) { return some_blocks(&look_[from]) == 0; };
+    int first = 0, end = look_.size() / at_a_time * at_a_time; // beyond the lines there are so many more
+    while (first < end && empty(first)) first += at_a_time;
+    if (first == end) return {0, 0};
+    while (empty(end - at_a_time)) end -= at_a_time;
+    while (look_[first] == 0) ++first;
+    while (look_[end - 1] == 0) --end;
+    return {first, end};
 }
 
 void BlockedCells::lay_out_elbows(const Robot &me) {
@@ -108,6 +134,7 @@ void BlockedCells::lay_out_elbows(const Robot &me) {
     while (elbows_.x.size() % at_once != 0) {
         elbows_.x.push_back(nowhere_mm);
         elbows_.y.push_back(0.0f);
+        elbows_.direction.push_back(0);
     }
     int line = 0;
     for (int bin = 0; bin <= line_bins; ++bin) {
@@ -128,26 +155,20 @@ bool BlockedCells::look_up(const Robot &me, const Robot &neighbour, Cell at, dou
     if (elbows_.x.empty()) lay_out_elbows(me);
     const Segment there = neighbour.line(at);
     mark(*table, there.a - me.centre(), direction_of(there.b - there.a), look_.data());
-    fill(me);
     return true;
 }
 
 // A cell is as the one on the line below unless there is a border between them.
-void BlockedCells::fill(const Robot &me) {
-    const int width = blocks_per_line(me);
-    CellBlock *const begin = look_.data(), *const end = begin + me.beta().size() * width;
-    CellBlock *first = begin; // with a border
-    while (first < end && *first == 0) ++first;
+void BlockedCells::fill(int width, int first, int last) {
+    CellBlock *const end = &look_[last * width];
+    CellBlock *here = &look_[first * width] + width;
     if (width < at_a_time) {
-        for (CellBlock *here = first + width; here < end; ++here) *here ^= *(here - width);
+        for (; here < end; ++here) *here ^= *(here - width);
         return;
     }
-    // there is a line beyond the end, longer than what is done at a time
-    for (CellBlock *here = first + width; here < end; here += at_a_time) {
-        std::uint64_t below, word;
-        std::memcpy(&below, here - width, sizeof below);
-        std::memcpy(&word, here, sizeof word);
-        word ^= below;
+    // there are lines beyond the end, longer than what is done at a time
+    for (; here < end; here += at_a_time) {
+        const std::uint64_t word = some_blocks(here) ^ some_blocks(here - width);
         std::memcpy(here, &word, sizeof word);
     }
 }
@@ -164,22 +185,23 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
         std::uint64_t near = bits_of(squared < all(reach));
         if (near == 0) continue;
         const Int8 bearings = directions_of(x, y);
+        const Int8 rows = __builtin_convertvector(squared * (1.0f / TouchTable::row_mm2), Int8);
+        const Int8 places = TouchTable::place_of(rows, direction - bearings);
+        const Int8 turned = bearings - load(&elbows_.direction[first]);
         for (; near != 0; near &= near - 1) {
             const int k = std::countr_zero(near);
-            const int alpha = first + k;
-            const TurnPart bearing = static_cast<TurnPart>(bearings[k]);
-            Directions d = table.at(squared[k], static_cast<TurnPart>(direction - bearing));
-            d.first = static_cast<TurnPart>(d.first + bearing - elbows_.direction[alpha]);
-            if (d.width > 0) mark_borders(alpha, d, out);
+            Directions d = table.at(places[k]);
+            d.first = static_cast<TurnPart>(d.first + turned[k]);
+            if (d.width > 0)
+                mark_borders(d, static_cast<CellBlock>(1 << (first % block + k)), out + first / block);
         }
     }
 }
 
-// Directions are those above the first line of beta.
-FL_INLINE void BlockedCells::mark_borders(int alpha, Directions d, CellBlock *out) const {
+// Of the cells on a line of alpha: a bit of one block of each line of beta. Directions are those above the
+// first line of beta.
+FL_INLINE void BlockedCells::mark_borders(Directions d, CellBlock bit, CellBlock *column) const {
     const int *begin_at = elbows_.begin_at.data();
-    const CellBlock bit = static_cast<CellBlock>(1 << alpha % block);
-    CellBlock *column = out + alpha / block;
     const int end = d.first + d.width, wrapped = end - 65536; // beyond a whole turn lines begin anew
     const int first = begin_at[d.first >> line_bits];
     column[first] ^= bit;

@@ -6,6 +6,7 @@
 #include "motion/robot.hpp"
 
 #include <cstdint>
+#include <utility>
 
 namespace fl::planning {
 
@@ -36,8 +37,9 @@ class BlockedCells {
         int begin = -1; // in blocks_; -1: not looked at
         std::int16_t first = 0, end = 0;
     };
-    Kept keep(const Robot &me);
-    void fill(const Robot &me);
+    Kept keep(int width, bool borders);
+    std::pair<int, int> used_blocks() const;
+    void fill(int width, int first, int last);
     // Directions from the centre of the robot.
     struct Sector {
         double middle_rad = 0.0, half_rad = 0.0;
@@ -67,8 +69,8 @@ class BlockedCells {
 
     // Plain arms, whose directions tell where they touch.
     struct Elbows {
-        List<float> x, y;         // at each line of alpha, from the centre, mm
-        List<TurnPart> direction; // of the arm there, at the first line of beta
+        List<float> x, y;             // at each line of alpha, from the centre, mm
+        List<std::int32_t> direction; // of the arm there, at the first line of beta, in parts of a turn
         // Where the first line of beta begins in a look that is at so many parts of a turn above the first,
         // or more.
         List<int> begin_at;
@@ -76,7 +78,7 @@ class BlockedCells {
     void lay_out_elbows(const Robot &me);
     bool look_up(const Robot &me, const Robot &neighbour, Cell at, double need_mm, TouchTables &tables);
     void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, CellBlock *out) const;
-    void mark_borders(int alpha, Directions directions, CellBlock *out) const;
+    void mark_borders(Directions directions, CellBlock bit, CellBlock *column) const;
 
     Kept &kept(int slot, const Robot &neighbour, Cell at);
 
@@ -84,7 +86,7 @@ class BlockedCells {
     // empty.
     List<List<List<Kept>>> kept_;
     List<CellBlock> blocks_;
-    List<CellBlock> look_;     // one look, and a line beyond the last one
+    List<CellBlock> look_;     // one look, a line beyond the last one and some blocks
     List<CellBlock> on_alpha_; // of one look: a line of cells in which limbs on the alpha arm touch
     Elbows elbows_;
     List<Lines> lines_;   // of each limb; of one body without a shape

@@ -33,6 +33,13 @@ FL_INLINE Cost16 mask_of(CellBlock bits) {
     return ((Cost16{} + static_cast<Cost>(bits)) & of_lane) != Cost16{};
 }
 
+// Of some lines: a cell, or a block and a cell.
+FL_INLINE void forget_column(Cost *out, int pitch, int lines, bool block) {
+    constexpr Cost none = CostToGo::none;
+    for (int k = 0; k < lines; ++k) out[k * pitch] = none;
+    for (int k = 0; block && k < lines; ++k) store(out + k * pitch + 1, Cost16{} + none);
+}
+
 // What a step from the cells of a line costs, without what it costs to leave them: to stay on the line and
 // move, and from a line beside it.
 struct Towards {
@@ -52,12 +59,12 @@ FL_INLINE Cost16 with_encounter(Cost16 cost, CellBlock bits, Cost encounter) {
 } // namespace
 
 void CostToGo::begin(const Request &request) {
+    for (Blocked &blocked : blocked_) forget(blocked);
     ask_ = request;
     alphas_ = request.robot->alpha().size();
     betas_ = request.robot->beta().size();
     blocks_ = BlockedCells::blocks_per_line(*request.robot);
     pitch_ = blocks_ * lanes + 2;
-    for (Blocked &blocked : blocked_) blocked.cost = 0;
     boxes_.clear();
     for (int step = 0; step <= ask_.steps; ++step) boxes_.push_back(box_at(step));
     const int size = (request.steps + 1) * (betas_ + 2) * pitch_ + lanes;
@@ -66,14 +73,30 @@ void CostToGo::begin(const Request &request) {
     std::fill(beyond_.begin(), beyond_.begin() + alphas_, Cost{0});
 }
 
+// What was blocked of the grid asked for before.
+void CostToGo::forget(Blocked &blocked) const {
+    if (blocked.cost == 0) return;
+    blocked.cost = 0;
+    CellBlock *const bits = blocked.bits.data();
+    for (int step = 0; step < blocked.used.size(); ++step)
+        if (const Lines &used = blocked.used[step]; !used.none())
+            std::fill(bits + word(used.first, 0, step), bits + word(used.end, 0, step), CellBlock{0});
+}
+
 // Those of the box alone are looked at.
-void CostToGo::block(int step, const BlockedLines &cells, int cost) {
+FL_CLONES void CostToGo::block(int step, const BlockedLines &cells, int cost) {
     const int first = std::max(cells.first, boxes_[step].first_beta);
     const int end = std::min(cells.end, boxes_[step].end_beta);
     if (first >= end) return;
     Blocked &blocked = blocked_[blocked_[0].cost == 0 || blocked_[0].cost == cost ? 0 : 1];
-    if (blocked.cost == 0) blocked.bits.assign((ask_.steps + 1) * betas_ * blocks_, 0);
+    if (blocked.cost == 0) {
+        const int size = (ask_.steps + 1) * betas_ * blocks_;
+        if (blocked.bits.size() < size) blocked.bits.resize(size, 0);
+        blocked.used.assign(ask_.steps + 1, {});
+    }
     blocked.cost = cost;
+    Lines &used = blocked.used[step];
+    used = {std::min(used.first, first), std::max(used.end, end)};
     const CellBlock *from = cells.bits + (first - cells.first) * blocks_;
     CellBlock *out = blocked.bits.data() + word(first, 0, step);
     for (int k = 0; k < (end - first) * blocks_; ++k) out[k] |= from[k];
@@ -111,14 +134,12 @@ void CostToGo::forget_lines(int step, int first, int end) {
 FL_CLONES void CostToGo::forget_around(int step, const Box &box) {
     forget_lines(step, box.first_beta - 2, box.first_beta);
     forget_lines(step, box.end_beta, box.end_beta + 2);
-    const int before = std::max((box.first_block - 1) * lanes, 0), after = box.end_block * lanes;
-    for (int beta = box.first_beta; beta < box.end_beta; ++beta) {
-        Cost *out = line(beta, step);
-        out[before - 1] = none;
-        if (box.first_block > 0) store(out + before, Cost16{} + none);
-        if (box.end_block < blocks_) store(out + after, Cost16{} + none);
-        out[std::min(after + lanes, blocks_ * lanes)] = none;
-    }
+    const int betas = box.end_beta - box.first_beta;
+    const bool below = box.first_block > 0, above = box.end_block < blocks_;
+    Cost *const first = line(box.first_beta, step) + box.first_block * lanes;
+    Cost *const end = line(box.first_beta, step) + box.end_block * lanes;
+    forget_column(first - (below ? lanes : 0) - 1, pitch_, betas, below);
+    forget_column(end, pitch_, betas, above);
 }
 
 // At the last cell, for good.

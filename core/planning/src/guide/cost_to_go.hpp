@@ -52,9 +52,15 @@ class CostToGo {
     int total() const { return from(ask_.first, ask_.hold); }
 
   private:
+    // Lines of beta; the end is not part of them.
+    struct Lines {
+        int first = 1 << 20, end = 0;
+        bool none() const { return first >= end; }
+    };
     struct Blocked {
         int cost = 0;         // as it was asked for; 0: not in use
         List<CellBlock> bits; // of each step
+        List<Lines> used;     // of each step: all bits of others are 0
         Cost encounter() const { return static_cast<Cost>(std::min<int>(cost, most_encounter)); }
     };
     // From a block of a line on, at a step; no bits: none.
@@ -63,7 +69,7 @@ class CostToGo {
         Cost cost = 0;
     };
     Encounters encounters(const Blocked &blocked, int beta, int block, int step) const {
-        if (blocked.cost <= 0) return {};
+        if (blocked.cost <= 0 || blocked.used[step].none()) return {};
         return {blocked.bits.data() + word(beta, block, step), blocked.encounter()};
     }
     // Lines of beta, and blocks of cells in them; the ends are not part of it.
@@ -84,6 +90,7 @@ class CostToGo {
     int dear(int beta) const { return ask_.beta->empty() ? 0 : (*ask_.beta)[beta]; }
 
     Box box_at(int step) const;
+    void forget(Blocked &blocked) const;
     void forget_lines(int step, int first, int end);
     void forget_around(int step, const Box &box);
     void rest(int step);

@@ -103,10 +103,10 @@ bool chords_ever_apart(const Segment *p, const Segment *q, double need_mm) {
 
 namespace {
 
-// Whether two bodies stay apart, by a test of lines that may come near.
-inline bool bodies_apart(const SweptArm &p, const SweptArm &q, double need_mm, ChordsTest chords_are_apart) {
+// Whether two bodies stay apart, by a test of lines that may come near. mid: of their centre lines, mm.
+inline bool bodies_apart(const SweptArm &p, const SweptArm &q, double mid, double need_mm,
+                         ChordsTest chords_are_apart) {
     const double need = need_mm + p.bulge_mm + q.bulge_mm + p.extra_mm + q.extra_mm;
-    const double mid = distance(p.at[2], q.at[2]);
     const bool near = mid < need, shaped = p.shape != nullptr || q.shape != nullptr;
     if (near && !shaped) return (p.layers & q.layers) == 0;
     if (mid - p.displacement_bound_mm - q.displacement_bound_mm >= need) return true;
@@ -119,12 +119,20 @@ inline bool bodies_apart(const SweptArm &p, const SweptArm &q, double need_mm, C
 } // namespace
 
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
-    return bodies_apart(p, q, need_mm, chords_stay_apart);
+    return stay_apart(p, q, distance(p.at[2], q.at[2]), need_mm);
+}
+
+bool stay_apart(const SweptArm &p, const SweptArm &q, double middle_mm, double need_mm) {
+    return bodies_apart(p, q, middle_mm, need_mm, chords_stay_apart);
 }
 
 bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm) {
+    return ever_apart(p, q, distance(p.at[2], q.at[2]), need_mm);
+}
+
+bool ever_apart(const SweptArm &p, const SweptArm &q, double middle_mm, double need_mm) {
     const bool rests = p.displacement_bound_mm == 0.0 || q.displacement_bound_mm == 0.0;
-    return bodies_apart(p, q, need_mm, rests ? chords_stay_apart : chords_ever_apart);
+    return bodies_apart(p, q, middle_mm, need_mm, rests ? chords_stay_apart : chords_ever_apart);
 }
 
 SweptArm quarter_of(const SweptArm &swept, int quarter) {

@@ -58,6 +58,13 @@ inline double squared_distance(const Segment &p, const Segment &q) {
     return std::min(std::min(a, b), std::min(c, d));
 }
 
+// The same of a point: of a segment both of whose ends are there.
+inline double squared_distance(Vec2 p, const Segment &q) {
+    const Vec2 d = q.b - q.a, r = p - q.a, s = d - r;
+    const double squared = dot(d, d), inverse = squared > 0.0 ? 1.0 / squared : 0.0;
+    return std::min(squared_to(r, d, inverse), std::min(dot(r, r), dot(s, s)));
+}
+
 inline double distance(const Segment &p, const Segment &q) { return std::sqrt(squared_distance(p, q)); }
 
 // Two centre lines at one moment, and their distance.
@@ -73,12 +80,15 @@ double relative_displacement(const TwoLines &from, const TwoLines &to);
 // True only if the centre lines stay at least `need_mm` and both extra radii apart during the whole step; of
 // bodies with shapes, those of all limbs that share a layer.
 bool stay_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+// With the distance of the centre lines in mid-step, where it is known.
+bool stay_apart(const SweptArm &p, const SweptArm &q, double middle_mm, double need_mm);
 
 // One quarter of a step, as a step. Where the arm rests in it, it bulges by nothing.
 SweptArm quarter_of(const SweptArm &swept, int quarter);
 
 // The same as stay_apart whatever the moments within the step at which the one and the other are.
 bool ever_apart(const SweptArm &p, const SweptArm &q, double need_mm);
+bool ever_apart(const SweptArm &p, const SweptArm &q, double middle_mm, double need_mm);
 
 // The same two for lines with their places at the borders of the quarters, and all that they need.
 using ChordsTest = bool (*)(const Segment *p, const Segment *q, double need_mm);

@@ -28,6 +28,11 @@ class MovingObstacles {
         bool meets(const SweptArm &other, double need_mm) const {
             return late ? !ever_apart(other, *swept, need_mm) : !stay_apart(other, *swept, need_mm);
         }
+        // With the distance of both in mid-step.
+        bool meets(const SweptArm &other, double middle_mm, double need_mm) const {
+            return late ? !ever_apart(other, *swept, middle_mm, need_mm)
+                        : !stay_apart(other, *swept, middle_mm, need_mm);
+        }
     };
 
     void clear() { visits_.clear(); }

@@ -138,9 +138,9 @@ bool PathSet::clear(const Member &m, const SweptArm &swept) const {
     return true;
 }
 
-bool PathSet::meet(const Member &p, const Member &q, int step) const {
+bool PathSet::meet_within_circles(const Member &p, const Member &q, int step) const {
     const SweptArm &one = p.swept[step], &other = q.swept[step];
-    if (!circles_touch(p.circles[step], q.circles[step]) || stay_apart(one, other, need_mm_)) return false;
+    if (stay_apart(one, other, need_mm_)) return false;
     if (!p.by_quarters && !q.by_quarters) return true;
     for (int k = 0; k < quarters; ++k)
         if (!stay_apart(quarter_of(one, k), quarter_of(other, k), need_mm_)) return true;
@@ -197,11 +197,11 @@ bool PathSet::within_reach(const Robot &robot, const SweptArm &them) const {
     const double reach =
         robot.reach_mm() + robot.extra_mm() + need_mm_ + them.displacement_bound_mm + them.extra_mm;
     // the middle of the line tells most
-    const Segment &line = them.at[2], centre{robot.centre(), robot.centre()};
+    const Segment &line = them.at[2];
     const Vec2 to = middle(line.a, line.b) - robot.centre();
     const double squared = dot(to, to), far = reach + 0.5 * length(line.b - line.a);
     if (squared < reach * reach || squared >= far * far) return squared < reach * reach;
-    return squared_distance(centre, line) < reach * reach;
+    return squared_distance(robot.centre(), line) < reach * reach;
 }
 
 void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) const {
@@ -372,13 +372,6 @@ Circle PathSet::circle_of(const SweptArm &swept) const {
     const Segment &mid = swept.at[2];
     const double half = 0.5 * length(mid.b - mid.a);
     return {middle(mid.a, mid.b), half + swept.displacement_bound_mm + swept.extra_mm + 0.5 * need_mm_};
-}
-
-// Whether they come too near.
-bool PathSet::circles_touch(const Circle &p, const Circle &q) const {
-    const Vec2 gap = p.centre - q.centre;
-    const double touch = p.radius_mm + q.radius_mm;
-    return dot(gap, gap) < touch * touch;
 }
 
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {

@@ -189,9 +189,17 @@ class PathSet {
     void note_before(List<SavedPath> &last);
     void fit(Member &m) const;
     Circle circle_of(const SweptArm &swept) const;
-    bool circles_touch(const Circle &p, const Circle &q) const;
+    // Whether they come too near.
+    static bool circles_touch(const Circle &p, const Circle &q) {
+        const Vec2 gap = p.centre - q.centre;
+        const double touch = p.radius_mm + q.radius_mm;
+        return dot(gap, gap) < touch * touch;
+    }
     bool clear(const Member &m, const SweptArm &swept) const;
-    bool meet(const Member &p, const Member &q, int step) const;
+    bool meet(const Member &p, const Member &q, int step) const {
+        return circles_touch(p.circles[step], q.circles[step]) && meet_within_circles(p, q, step);
+    }
+    bool meet_within_circles(const Member &p, const Member &q, int step) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
 
     double need_mm_;

@@ -25,7 +25,7 @@ VelocityChanges changes_of(int move_in, int move_out, bool backward) {
 }
 
 Search::NodeId Search::id(Place at) const {
-    return NodeId(at.step * ask_.robot->cells() + ask_.robot->index(at.cell));
+    return NodeId((at.step * betas_ + at.cell.beta) * alphas_ + at.cell.alpha);
 }
 
 // At a line of one axis, with a speed.
@@ -36,9 +36,8 @@ Search::Line Search::line_at(int line, int last, int lines, int speed) {
 
 // From a place that was reached by a move.
 int Search::least_to_come(Place at, int move) const {
-    const Robot &robot = *ask_.robot;
-    const Line alpha = line_at(at.cell.alpha, last_cell_.alpha, robot.alpha().size(), alpha_of(move));
-    const Line beta = line_at(at.cell.beta, last_cell_.beta, robot.beta().size(), beta_of(move));
+    const Line alpha = line_at(at.cell.alpha, last_cell_.alpha, alphas_, alpha_of(move));
+    const Line beta = line_at(at.cell.beta, last_cell_.beta, betas_, beta_of(move));
     if (ask_.guide != nullptr) return changes_to_come(alpha, beta) + ask_.guide->from(at.cell, at.step);
     return changes_to_come(alpha, beta) + ask_.costs->move * (alpha.left + beta.left);
 }
@@ -57,7 +56,7 @@ void Search::begin() {
     if (ask_.backward) ask_.hold += ask_.steps - ask_.deadline;
     last_step_ = ask_.backward ? ask_.steps : ask_.deadline;
     last_cell_ = ask_.backward ? ask_.robot->start() : ask_.robot->goal();
-    alphas_ = ask_.robot->alpha().size();
+    alphas_ = ask_.robot->alpha().size(), betas_ = ask_.robot->beta().size();
     const int size = ask_.robot->cells() * (ask_.steps + 1);
     if (nodes_.size() < size) nodes_.resize(size);
     const int turnings = ask_.moving->always().empty() ? 0 : 81 * ask_.robot->cells();
@@ -88,16 +87,18 @@ void Search::list_turnings() {
         }
 }
 
-// What resting at a cell costs at each step; at the goal, on the legs to come as well.
-void Search::list_rest(Cell cell) {
+// What resting at a cell costs at each step from one to another; at the goal, on the legs to come as well.
+void Search::list_rest(Cell cell, int from, int to) {
     const SweptArm here = ask_.robot->resting(cell);
     const bool at_goal = cell == ask_.robot->goal() && !ask_.robot->legs().empty();
     rest_cost_.assign(ask_.steps + 1, always_encounters(cell, {}));
     rest_met_.assign(ask_.steps + 1, -1);
     const Vec2 centre = middle(here.at[2].a, here.at[2].b);
     const double radius = 0.5 * length(here.at[2].b - here.at[2].a) + here.extra_mm + ask_.need_mm;
+    const int first = ask_.backward ? ask_.steps - to : from, last = ask_.backward ? ask_.steps - from : to;
     for (const MovingObstacles::Visit &e : ask_.moving->visits()) {
-        if (ask_.moving->is_always(e) || !e.near(centre, radius) || !e.meets(here, ask_.need_mm)) continue;
+        if (e.last < first || e.first > last || ask_.moving->is_always(e)) continue;
+        if (!e.near(centre, radius) || !e.meets(here, ask_.need_mm)) continue;
         for (int k = e.first; k <= e.last; ++k) {
             const int step = ask_.backward ? ask_.steps - k : k;
             if (rest_met_[step] != e.slot) rest_cost_[step] += e.cost; // no one is met twice in a step
@@ -109,13 +110,13 @@ void Search::list_rest(Cell cell) {
 
 int Search::hold_cost() {
     if (ask_.hold == 0) return 0;
-    list_rest(first_cell());
+    list_rest(first_cell(), 0, ask_.hold - 1);
     return std::accumulate(rest_cost_.begin(), rest_cost_.begin() + ask_.hold, 0);
 }
 
-// What it costs to rest at the last cell from each step to the end.
+// What it costs to rest at the last cell to the end, from each step after it can be come to.
 void Search::prepare_end() {
-    list_rest(last_cell_);
+    list_rest(last_cell_, ask_.hold + steps_between(first_cell(), last_cell_) + 1, ask_.steps);
     end_cost_.assign(ask_.steps + 2, 0);
     if (!ask_.backward) end_cost_[ask_.steps + 1] = leg_encounters(ask_.steps);
     for (int step = ask_.steps; step >= 0; --step) end_cost_[step] = end_cost_[step + 1] + rest_cost_[step];
@@ -187,20 +188,20 @@ int Search::near_encounters(Place at, VelocityChanges turn) {
         const double clear = room + e.swept->bulge_mm + e.swept->displacement_bound_mm + e.swept->extra_mm;
         if (d2 >= clear * clear) continue;
         if (shaped(e) || d2 >= ask_.need_mm * ask_.need_mm) {
-            doubtful_.push_back(&e);
+            doubtful_.push_back({&e, d2});
             continue;
         }
         cost += e.cost;
         met = e.slot;
-        while (!doubtful_.empty() && doubtful_.back()->slot == met) doubtful_.pop_back();
+        while (!doubtful_.empty() && doubtful_.back().visit->slot == met) doubtful_.pop_back();
     }
     return cost;
 }
 
 int Search::doubtful_encounters(const SweptArm &step) const {
     int cost = 0, met = -1;
-    for (const MovingObstacles::Visit *e : doubtful_)
-        if (e->slot != met && e->meets(step, ask_.need_mm)) {
+    for (const auto &[e, squared_mm2] : doubtful_)
+        if (e->slot != met && e->meets(step, std::sqrt(squared_mm2), ask_.need_mm)) {
             cost += e->cost;
             met = e->slot;
         }
@@ -220,28 +221,39 @@ void Search::finish(const Open &here) {
 
 Search::Leaving Search::leaving(const Open &here) const {
     const Place at = here.place(), later{at.cell, at.step + 1};
-    return {at, turnings_[here.move], here.cost + beta_cost(at.cell), id(later),
-            ask_.guide != nullptr ? ask_.guide->around(at.cell, later.step) : CostToGo::Around()};
+    const Costs &costs = *ask_.costs;
+    const bool guided = ask_.guide != nullptr;
+    return {at,
+            turnings_[here.move],
+            here.cost + beta_cost(at.cell),
+            id(later),
+            guided,
+            guided ? ask_.guide->around(at.cell, later.step) : CostToGo::Around(),
+            costs.move,
+            costs.velocity_change,
+            at.cell == last_cell_ ? 0 : costs.wait,
+            guided ? costs.greed : 1};
 }
 
-// As least_to_come.
-int Search::to_come_after(const Leaving &from, int move, const Line &alpha, const Line &beta) const {
-    const int changes = changes_to_come(alpha, beta);
-    if (ask_.guide != nullptr) return changes + from.guide.from(alpha_of(move), beta_of(move));
-    return changes + ask_.costs->move * (alpha.left + beta.left);
-}
-
-// To a cell on two lines.
-void Search::relax(const Leaving &from, int move, const Line &alpha, const Line &beta) {
-    const Turning &turn = from.turnings[move];
-    const int step = from.at.step + 1;
-    if (!turn.possible || step + std::max(alpha.left, beta.left) > last_step_) return;
-    if (closed(NodeId(from.same.value() + beta_of(move) * alphas_ + alpha_of(move)))) return;
-    const int to_come = to_come_after(from, move, alpha, beta);
-    int cost = from.cost + turn.cost;
-    if (move == stay && !(from.at.cell == last_cell_)) cost += ask_.costs->wait;
-    if (cost + to_come < best_)
-        queue_.push(Open({moved(from.at.cell, move), step}, cost, move), total(cost, to_come));
+// To the cells on a line of beta, the next one or the same, as least_to_come tells what is still to come.
+void Search::relax(const Leaving &from, int way, const Line (&alpha)[3]) {
+    const Cell cell = from.at.cell;
+    const int step = from.at.step + 1, left = last_step_ - step;
+    const Line beta = line_at(cell.beta + way, last_cell_.beta, betas_, way);
+    if (beta.left > left) return;
+    for (int a = -1; a <= 1; ++a) {
+        const int move = 3 * way + a + stay;
+        const Line &line = alpha[a + 1];
+        const Turning &turn = from.turnings[move];
+        if (!turn.possible || line.left > left) continue;
+        if (closed(NodeId(from.same.value() + way * alphas_ + a))) continue;
+        int to_come = from.velocity_change * (line.changes + beta.changes);
+        to_come += from.guided ? from.guide.from(a, way) : from.move * (line.left + beta.left);
+        const int cost = from.cost + turn.cost + (move == stay ? from.wait : 0);
+        if (cost + to_come < best_)
+            queue_.push(Open({{cell.alpha + a, cell.beta + way}, step}, cost, move),
+                        cost + from.greed * to_come);
+    }
 }
 
 // Whether the last step of a way, to here, keeps it the best one. If it meets others the way goes back into
@@ -270,22 +282,19 @@ void Search::fetch_around(NodeId same) const {
 }
 
 void Search::expand(const Open &here) {
-    const Robot &robot = *ask_.robot;
     const Place at = here.place();
     ++expansions_;
     if (at.step < last_step_) fetch_around(id({at.cell, at.step + 1}));
     nodes_[id(at)] = {round_, here.move};
     if (at.cell == last_cell_) finish(here);
     if (at.step == last_step_) return;
-    Line alpha[3], beta[3];
-    for (int way = -1; way <= 1; ++way) {
-        alpha[way + 1] = line_at(at.cell.alpha + way, last_cell_.alpha, robot.alpha().size(), way);
-        beta[way + 1] = line_at(at.cell.beta + way, last_cell_.beta, robot.beta().size(), way);
-    }
+    Line alpha[3];
+    for (int way = -1; way <= 1; ++way)
+        alpha[way + 1] = line_at(at.cell.alpha + way, last_cell_.alpha, alphas_, way);
     // Of equals, the last is looked at first. So an arm unfolds as late as it can (beta stays or goes up),
     // and is out of the way of others until then.
     const Leaving from = leaving(here);
-    for (int move = 0; move < 9; ++move) relax(from, move, alpha[move % 3], beta[move / 3]);
+    for (int way = -1; way <= 1; ++way) relax(from, way, alpha);
 }
 
 void Search::trace() {

@@ -184,17 +184,18 @@ class Search {
         const Turning *turnings; // from the move by which it was reached
         int cost;                // of a step, without its move
         NodeId same;             // the cell, a step later
-        CostToGo::Around guide;  // of a step later, where there is one
+        bool guided;
+        CostToGo::Around guide;                 // of a step later, where there is one
+        int move, velocity_change, wait, greed; // as Costs has them, here
     };
     void fetch_around(NodeId same) const;
     Leaving leaving(const Open &here) const;
-    int to_come_after(const Leaving &from, int move, const Line &alpha, const Line &beta) const;
-    void relax(const Leaving &from, int move, const Line &alpha, const Line &beta);
+    void relax(const Leaving &from, int way, const Line (&alpha)[3]);
     bool shaped(const MovingObstacles::Visit &e) const;
     MovingObstacles::View visits_at(int step) const {
         return ask_.moving->at(ask_.backward ? ask_.steps - step : step);
     }
-    void list_rest(Cell cell);
+    void list_rest(Cell cell, int from, int to);
     int leg_encounters(int step) const;
     int always_encounters(Cell cell, VelocityChanges turn);
     int look_always(const SweptArm &step) const;
@@ -208,12 +209,17 @@ class Search {
 
     Request ask_;
     Cell last_cell_;
-    int alphas_ = 0;    // lines of its grid
-    int last_step_ = 0; // by which the path must be done, in the direction of the search
+    int alphas_ = 0, betas_ = 0; // lines of its grid
+    int last_step_ = 0;          // by which the path must be done, in the direction of the search
     Turning turnings_[9][9];
     List<Node, NodeId> nodes_;
     OpenQueue<Open> queue_;
-    List<const MovingObstacles::Visit *> doubtful_;
+    // Its distance in mid-step does not tell whether it is met.
+    struct Doubtful {
+        const MovingObstacles::Visit *visit;
+        double squared_mm2;
+    };
+    List<Doubtful> doubtful_;
     // Encounters at any step, for each cell and turning: of which search they are, and what they cost.
     struct Always {
         std::uint32_t round = 0;
