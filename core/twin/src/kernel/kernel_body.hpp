@@ -108,15 +108,16 @@ inline void end_ways_of_chunk(Tick &t, int chunk, TickEvents &events) {
 constexpr int chunk_vectors = chunk_size / width;
 static_assert(width < 16 || chunk_vectors == 1); // a chunk is a vector there
 
-// what(n, lane) for each vector n of some chunks and its first lane: without a loop where all fits into the
-// registers of the machine.
-template <int count, class What> FL_INLINED inline void in_turn(const int *chunks, What &&what) {
+// what(n, lane) for each vector n of some chunks, or of other parts of so many vectors, and its first lane:
+// without a loop where all fits into the registers of the machine.
+template <int count, int vectors = chunk_vectors, class What>
+FL_INLINED inline void in_turn(const int *parts, What &&what) {
     if constexpr (width < 16) {
         for (int k = 0; k < count; ++k)
-            for (int v = 0; v < chunk_vectors; ++v) what(k * chunk_vectors + v, chunks[k] + v * width);
+            for (int v = 0; v < vectors; ++v) what(k * vectors + v, parts[k] + v * width);
     } else {
-        if constexpr (count > 1) in_turn<count - 1>(chunks, what);
-        what(count - 1, chunks[count - 1]);
+        if constexpr (count > 1) in_turn<count - 1>(parts, what);
+        what(count - 1, parts[count - 1]);
     }
 }
 
@@ -231,12 +232,13 @@ FL_INLINED inline void store_rest(Tick &t, int i, const Done &done, Motion m) {
     store_motion(t, i, m);
 }
 
-// Half drift, kick, half drift; two half drifts between kicks are one. All chunks stay in registers over
-// the substeps, and take turns inside each, so that the processor has independent ones to work on.
-template <int count> inline void move(Tick &t, const int *chunks, int substeps, const Done *done) {
-    Motion motion[count * chunk_vectors];
+// Half drift, kick, half drift; two half drifts between kicks are one. Vectors, by their first lanes, stay in
+// registers over the substeps, and take turns inside each, so that the processor has independent ones to work
+// on.
+template <int count> inline void move(Tick &t, const int *vectors, int substeps, const Done &done) {
+    Motion motion[count];
     const auto each = [&](auto &&what) FL_INLINED {
-        in_turn<count>(chunks, [&](int n, int i) FL_INLINED { what(motion[n], i); });
+        in_turn<count, 1>(vectors, [&](int n, int i) FL_INLINED { what(motion[n], i); });
     };
     each([&](Motion &m, int i) FL_INLINED {
         m = load_motion(t, i);
@@ -245,10 +247,7 @@ template <int count> inline void move(Tick &t, const int *chunks, int substeps, 
     for (int n = 1; n < substeps; ++n) each([&](Motion &m, int i) FL_INLINED { drift(m, kick(t, i, m)); });
     each([&](Motion &m, int i) FL_INLINED {
         drift(m, 0.5f * kick(t, i, m));
-        if (done == nullptr)
-            store_motion(t, i, m);
-        else
-            store_rest(t, i, *done, m);
+        store_rest(t, i, done, m);
     });
 }
 
@@ -263,6 +262,9 @@ struct Pushing {
 };
 
 FL_INLINED inline Mask still(const Tick &t, int i) { return *reinterpret_cast<const Mask *>(t.g.still + i); }
+FL_INLINED inline Mask moved_or_still(const Tick &t, int i, const Done &done) {
+    return *reinterpret_cast<const Mask *>(done.lane + i) | still(t, i);
+}
 FL_INLINED inline V turned_by(V v, Mask sign) {
     return reinterpret_cast<V>(reinterpret_cast<Mask>(v) ^ sign);
 }
@@ -353,12 +355,14 @@ template <class Flags> FL_INLINED inline bool all_of_chunk(int chunk, Flags &&fl
     return all(every);
 }
 
-// Some chunks of a group.
-struct Chunks {
-    int at[lane_count / chunk_size];
+// Some parts of a group, by their first lanes.
+template <int size> struct Parts {
+    int at[lane_count / size];
     int count = 0;
-    void add(int chunk) { at[count++] = chunk; }
+    void add(int first) { at[count++] = first; }
 };
+using Chunks = Parts<chunk_size>;
+using Vectors = Parts<width>;
 
 // The motion of some chunks that push, vector by vector: at the end of a tick, and as it was at the last
 // kick.
@@ -438,13 +442,13 @@ void bells(const uint64_t *__restrict counter, double *__restrict bell, int coun
 
 // -- a tick -------------------------------------------------------------------------------------
 
-// Calls work for as many of the chunks at once as are left, at most `most`.
-template <int most, class Work> inline void by(const Chunks &chunks, Work &&work) {
-    if (chunks.count == most) return work.template operator()<most>(chunks.at);
-    if constexpr (most > 1) by<most - 1>(chunks, work);
+// Calls work for as many parts at once as are left, at most `most`.
+template <int most, class Work> inline void by(const int *parts, int left, Work &&work) {
+    for (; left >= most; left -= most, parts += most) work.template operator()<most>(parts);
+    if constexpr (most > 1) by<most - 1>(parts, left, work);
 }
 
-constexpr int most_chunks = lane_count / chunk_size;
+constexpr int most_chunks = lane_count / chunk_size, most_vectors = 4;
 // Two at once fill the registers; with few steps in a tick there is enough to do beside them.
 constexpr int most_coarse = most_chunks < 2 ? most_chunks : 2;
 
@@ -457,19 +461,16 @@ inline void note_held(Tick &t, int chunk) {
 // Chunks that all of their lanes leave pushing, in the same steps.
 template <bool coarse>
 inline void glide_all(Tick &t, const Chunks &gliding, Substeps substeps, Chunks &others, TickEvents &events) {
-    constexpr int most = coarse ? most_coarse : most_chunks;
-    for (int k = 0; k < gliding.count; k += most) {
-        Chunks some;
-        for (int n = k; n < gliding.count && n < k + most; ++n) some.add(gliding.at[n]);
-        by<most>(some, [&]<int count>(const int *chunks) {
-            glide<count, coarse>(t, chunks, substeps, others, events);
-        });
-    }
+    by<coarse ? most_coarse : most_chunks>(gliding.at, gliding.count, [&]<int count>(const int *chunks) {
+        glide<count, coarse>(t, chunks, substeps, others, events);
+    });
 }
 
-// Any others: each axis in its own steps.
+// Any others: each axis in its own steps. A vector of which all lanes have been moved, or are still, is left
+// alone.
 inline void move_others(Tick &t, const Chunks &others, Substeps substeps, TickEvents &events) {
     Done done = {};
+    Vectors left;
     const bool longer = substeps.pushing != substeps.all;
     for (int k = 0; k < others.count; ++k) {
         const int c = others.at[k];
@@ -479,10 +480,11 @@ inline void move_others(Tick &t, const Chunks &others, Substeps substeps, TickEv
         }
         const auto idle = [&](int i, int) { return ~sets_out_pushing(t, i) | still(t, i); };
         if (longer && !all_of_chunk(c, idle)) move_coarsely(t, c, substeps, done);
+        for (int i = c; i < c + chunk_size; i += width)
+            if (!all(moved_or_still(t, i, done))) left.add(i);
     }
-    by<most_chunks>(others, [&]<int count>(const int *chunks) {
-        move<count>(t, chunks, substeps.all, longer ? &done : nullptr);
-    });
+    by<most_vectors>(left.at, left.count,
+                     [&]<int count>(const int *vectors) { move<count>(t, vectors, substeps.all, done); });
     for (int k = 0; k < others.count; ++k) end_ways_of_chunk(t, others.at[k], events);
 }
 
