@@ -10,9 +10,37 @@ namespace {
 
 constexpr int fewer_steps = 4; // by which there is less time, until there is room
 
-// out |= from, word by word.
-FL_INLINE void add_words(const std::uint64_t *__restrict from, int count, std::uint64_t *__restrict out) {
-    for (int k = 0; k < count; ++k) out[k] |= from[k];
+// The words of a cell and of those beside it, of the same number each; at the border of a box one of them is
+// there twice.
+struct Beside {
+    const std::uint64_t *below, *here, *above;
+
+    // words: of the cell at `first`, of so many cells. at: a cell in them or next to them; pitch: from one to
+    // the next, in words.
+    Beside(const std::uint64_t *words, int first, int end, int at, int pitch)
+        : below(words + (std::max(at - 1, first) - first) * pitch),
+          here(words + (std::clamp(at, first, end - 1) - first) * pitch),
+          above(words + (std::min(at + 1, end - 1) - first) * pitch) {}
+};
+
+// All of them in one.
+FL_INLINE void join(const Beside &from, int count, std::uint64_t *__restrict out) {
+    const std::uint64_t *__restrict below = from.below, *__restrict here = from.here,
+                                    *__restrict above = from.above;
+    for (int k = 0; k < count; ++k) out[k] = below[k] | here[k] | above[k];
+}
+
+// Of these those that are free; whether there are any.
+FL_INLINE bool join_free(const Beside &from, const std::uint64_t *__restrict free, int count,
+                         std::uint64_t *__restrict out) {
+    const std::uint64_t *__restrict below = from.below, *__restrict here = from.here,
+                                    *__restrict above = from.above;
+    std::uint64_t any = 0;
+    for (int k = 0; k < count; ++k) {
+        out[k] = (below[k] | here[k] | above[k]) & free[k];
+        any |= out[k];
+    }
+    return any != 0;
 }
 
 // Each bit, and those beside it.
@@ -39,12 +67,11 @@ FL_INLINE void spread_lines(const std::uint64_t *__restrict from, int from_first
         out[beta - first] = around_line(from, from_first, from_end, beta);
 }
 
-// Of some words those that are free; whether any is left.
-FL_INLINE bool keep_free(const std::uint64_t *__restrict apart, const std::uint64_t *__restrict free,
-                         int count, std::uint64_t *__restrict out) {
+// Of some words what is apart; whether any is left.
+FL_INLINE bool keep_apart(const std::uint64_t *__restrict apart, int count, std::uint64_t *__restrict out) {
     std::uint64_t any = 0;
     for (int k = 0; k < count; ++k) {
-        out[k] &= apart[k] & free[k];
+        out[k] &= apart[k];
         any |= out[k];
     }
     return any != 0;
@@ -179,16 +206,13 @@ FL_CLONES void PairFlood::spread_second(const Layer &from, const Layer &to) {
 // Then by all moves of alpha of the first one, line by line of its beta.
 FL_CLONES void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
     const int lines = to.second.lines(), rows = from.first.lines();
-    wide_.assign(rows * to.first.width() * lines, 0);
-    for (int row = 0; row < rows; ++row)
-        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
-            std::uint64_t *out = wide_.data() + (row * to.first.width() + alpha - to.first.alpha) * lines;
-            const int low = std::max(alpha - 1, from.first.alpha),
-                      high = std::min(alpha + 1, from.first.end_alpha - 1);
-            for (int a = low; a <= high; ++a)
-                add_words(spread_.data() + (row * from.first.width() + a - from.first.alpha) * lines, lines,
-                          out);
-        }
+    if (const int words = rows * to.first.width() * lines; wide_.size() < words) wide_.resize(words);
+    std::uint64_t *out = wide_.data();
+    for (int row = 0; row < rows; ++row) {
+        const std::uint64_t *in_row = spread_.data() + row * from.first.width() * lines;
+        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha, out += lines)
+            join({in_row, from.first.alpha, from.first.end_alpha, alpha, lines}, lines, out);
+    }
 }
 
 // Lines of the second one at a step: cells in its box in which nothing is in its way.
@@ -213,16 +237,14 @@ FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
         for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
             const Cell c{alpha, beta};
             std::uint64_t *out = words_.data() + to.begin + to.first.place(c) * lines;
-            std::fill(out, out + lines, 0);
-            if (!sides_[0].free(c, step)) continue;
-            for (int b = std::max(beta - 1, from.first.beta);
-                 b <= std::min(beta + 1, from.first.end_beta - 1); ++b)
-                add_words(wide_.data() + (b - from.first.beta) * width + (alpha - to.first.alpha) * lines,
-                          lines, out);
-            std::uint64_t some = 0;
-            for (int k = 0; k < lines; ++k) some |= out[k];
-            if (some == 0) continue;
-            any |= keep_free(apart_from(c, touching) + to.second.beta, free_.data(), lines, out);
+            if (!sides_[0].free(c, step)) {
+                std::fill(out, out + lines, 0);
+                continue;
+            }
+            const Beside beside(wide_.data() + (alpha - to.first.alpha) * lines, from.first.beta,
+                                from.first.end_beta, beta, width);
+            if (join_free(beside, free_.data(), lines, out))
+                any |= keep_apart(apart_from(c, touching) + to.second.beta, lines, out);
         }
     return any;
 }

@@ -32,7 +32,11 @@ inline double length(Vec2 p) { return std::sqrt(dot(p, p)); }
 inline Vec2 middle(Vec2 p, Vec2 q) { return {0.5 * (p.x + q.x), 0.5 * (p.y + q.y)}; }
 inline Segment middle(const Segment &p, const Segment &q) { return {middle(p.a, q.a), middle(p.b, q.b)}; }
 
-inline double clamp01(double t) { return t < 0.0 ? 0.0 : (t > 1.0 ? 1.0 : t); }
+// Without a jump: which of the three it is is hard to foretell.
+inline double clamp01(double t) {
+    const double above = t > 0.0 ? t : 0.0;
+    return above < 1.0 ? above : 1.0;
+}
 
 // Squared distance of the point r (seen from the segment's first end) from a segment d.
 inline double squared_to(Vec2 r, Vec2 d, double inverse) {
@@ -41,21 +45,33 @@ inline double squared_to(Vec2 r, Vec2 d, double inverse) {
     return x * x + y * y;
 }
 
+// Two numbers at once: every processor of 64 bits has such.
+using Double2 = double __attribute__((vector_size(16)));
+inline Double2 lower(Double2 p, Double2 q) { return p < q ? p : q; }
+
+// The same of two points.
+inline Double2 squared_to(Double2 x, Double2 y, Vec2 d, double inverse) {
+    const Double2 along = (x * d.x + y * d.y) * inverse, none{0.0, 0.0}, all{1.0, 1.0};
+    const Double2 t = lower(along > none ? along : none, all);
+    const Double2 off_x = x - t * d.x, off_y = y - t * d.y;
+    return off_x * off_x + off_y * off_y;
+}
+
 // Squared distance of two segments, 0 where they cross.
 inline double squared_distance(const Segment &p, const Segment &q) {
     const Vec2 dp = p.b - p.a, dq = q.b - q.a, r = p.a - q.a;
-    const Vec2 r1{r.x + dp.x, r.y + dp.y}; // p.b from q.a
-    const double side0 = cross(dq, r), side1 = cross(dq, r1);
-    if ((side0 < 0.0) != (side1 < 0.0)) {
+    const Double2 x{r.x, r.x + dp.x}, y{r.y, r.y + dp.y}; // the ends of p from q.a
+    const Double2 sides = dq.x * y - dq.y * x;
+    if ((sides[0] < 0.0) != (sides[1] < 0.0)) {
         // the ends of p lie on both sides of q's line; now those of q
         const double other0 = cross(r, dp), other1 = cross({r.x - dq.x, r.y - dq.y}, dp);
         if ((other0 < 0.0) != (other1 < 0.0)) return 0.0;
     }
     const double lp = dot(dp, dp), lq = dot(dq, dq);
     const double ip = lp > 0.0 ? 1.0 / lp : 0.0, iq = lq > 0.0 ? 1.0 / lq : 0.0;
-    const double a = squared_to(r, dq, iq), b = squared_to(r1, dq, iq);
-    const double c = squared_to({-r.x, -r.y}, dp, ip), d = squared_to({dq.x - r.x, dq.y - r.y}, dp, ip);
-    return std::min(std::min(a, b), std::min(c, d));
+    const Double2 x_from_p{-r.x, dq.x - r.x}, y_from_p{-r.y, dq.y - r.y}; // the ends of q from p.a
+    const Double2 least = lower(squared_to(x, y, dq, iq), squared_to(x_from_p, y_from_p, dp, ip));
+    return std::min(least[0], least[1]);
 }
 
 // The same of a point: of a segment both of whose ends are there.
