@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
 
 from fiberloom.assignment.clearance import arm_lines, obstacle_gap_mm
 from fiberloom.instruments import FocalPlane
@@ -76,6 +75,8 @@ class Escape:
         return np.array([self._turns[r] for r in positioner.tolist()], dtype=bool)
 
     def _flood(self, row: int) -> NDArray[np.int32]:
+        from scipy.ndimage import label  # few fields need it
+
         alpha, beta = np.meshgrid(*self._axes(), indexing="ij")
         rows = np.full(alpha.size, row)
         gap = self._gap_mm(rows, alpha.reshape(-1, 1), beta.reshape(-1, 1))

@@ -234,9 +234,10 @@ class _Followers:
         ids = ids & self._client.collided
         return [Deviation(i, DeviationKind.COLLIDED, self.elapsed_s, since_s) for i in sorted(ids)]
 
-    def silent(self, positioner: int) -> bool:
-        """Has left two polls in a row without an answer."""
-        return self._told.get(positioner) is DeviationKind.SILENT
+    @property
+    def silent(self) -> set[int]:
+        """Those that have left two polls in a row without an answer."""
+        return {i for i, kind in self._told.items() if kind is DeviationKind.SILENT}
 
     def _at_rest_early(self, positioner: int) -> bool:
         answer = self.answers[positioner]
@@ -384,8 +385,7 @@ class MotionRun:
 
     def _going(self, active: set[int]) -> Going:
         """Who is on the way, and who of them can be reached."""
-        cut_off, silent = self._client.exchange.cut_off(active), self._followers.silent
-        unreachable = frozenset(i for i in active if i in cut_off or silent(i))
+        unreachable = frozenset(active & (self._client.exchange.cut_off(active) | self._followers.silent))
         return Going(self._followers.elapsed_s, frozenset(active) - unreachable, unreachable)
 
     def _book(self, deviation: Deviation) -> None:

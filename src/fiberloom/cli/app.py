@@ -181,9 +181,9 @@ def _root(
 
 BELOW, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
-_YOUNG = 100_000
-"""New objects before the interpreter looks for cycles among them; 700 by default, which the replies of 500
-positioners are at every poll.
+_YOUNG = 400_000
+"""New objects before the interpreter looks for cycles among them: more than a command imports, which are no
+garbage. It is 700 by default, which the replies of 500 positioners are at every poll.
 """
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "1")
