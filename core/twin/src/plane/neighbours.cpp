@@ -58,10 +58,6 @@ uint64_t sync_after(uint64_t tick, uint64_t free_ticks) {
     return (tick + std::max(free_ticks, sync_ticks)) & ~(sync_ticks - 1);
 }
 
-// Of two ticks modulo 2^32. A pair that is looked at ahead keeps what was known of it: bounds may be wider
-// now.
-uint32_t later(uint32_t one, uint32_t other) { return static_cast<int32_t>(one - other) > 0 ? one : other; }
-
 } // namespace
 
 Neighbours::Neighbours(std::vector<Arm> arms, std::vector<Obstacle> obstacles, Body body,
@@ -150,15 +146,6 @@ size_t Neighbours::bytes() const {
     const auto held = [](const auto &list) { return list.capacity() * sizeof(list[0]); };
     return held(arms_) + held(obstacles_) + held(compliances_) + held(near_) + held(first_near_) +
            held(levers_mm_) + held(next_look_) + held(next_exact_);
-}
-
-uint64_t Neighbours::due_beside(size_t i, const std::vector<Contact> &contacts) const {
-    const uint64_t first = next_look_[i];
-    uint32_t next = never;
-    for (const Near &near : near(i))
-        if (!in_touch(contacts, static_cast<uint32_t>(near.number)))
-            next = std::min(next, near.ticks_after(first));
-    return next == never ? UINT64_MAX : first + next;
 }
 
 uint64_t Neighbours::next_due() const {
@@ -291,8 +278,7 @@ void Neighbours::plan_look(const Look &look, Near &near, double apart_mm) const 
     const uint64_t soon = look.at.ahead == 0 ? sync_ticks : slice_of_exact_looks;
     const bool close = touching || free < soon || apart_mm < near.worth_mm();
     near.exact = close ? 1 : 0;
-    near.next_look = touching ? static_cast<uint32_t>(look.at.tick + 1)
-                              : later(near.next_look, static_cast<uint32_t>(sync_after(look.at.tick, free)));
+    near.next_look = static_cast<uint32_t>(touching ? look.at.tick + 1 : sync_after(look.at.tick, free));
 }
 
 void Neighbours::plan_first_looks(const std::vector<Pose> &poses) {

@@ -33,28 +33,11 @@ void Twin::State::feel_group(size_t group) {
             feel_neighbours(i, groups[group]);
 }
 
-// Whether an arm of the group touches something, or has just done so.
-bool Twin::State::feels(size_t group) const {
+bool Twin::State::in_contact(size_t group) const {
     const Rows rows = rows_of(group);
-    const auto first = felt.begin();
-    return std::any_of(first + static_cast<ptrdiff_t>(rows.begin), first + static_cast<ptrdiff_t>(rows.end),
-                       [](uint8_t f) { return f != 0; });
-}
-
-// The first sync point at which two could touch that do not, or the last one before an arm may no longer be
-// felt: until then only those that are felt feel each other.
-uint64_t Twin::State::next_meeting() const {
-    uint64_t first = UINT64_MAX;
-    for (size_t i = 0; i < count; ++i) {
-        if (felt[i] == 0) {
-            first = std::min(first, neighbours.due(i));
-            continue;
-        }
-        const Touching &touch = positioners[i].touch();
-        first = std::min(first, neighbours.due_beside(i, touch.contacts));
-        for (const LastTouch &t : touch.touched) first = std::min(first, t.forget_tick & ~(sync_ticks - 1));
-    }
-    return first;
+    for (size_t i = rows.begin; i < rows.end; ++i)
+        if (touches(i)) return true;
+    return false;
 }
 
 // Whether forces on arms of the group may change before the next sync point; notes on which: those that touch

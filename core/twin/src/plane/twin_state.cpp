@@ -136,21 +136,18 @@ bool Twin::State::any_awake() const {
     return std::any_of(groups.begin(), groups.end(), [](const PositionerGroup &g) { return g.awake != 0; });
 }
 
-// To the next sync point; to one further on where no arm can begin to touch another before.
+// To the next sync point; to one further on where no arm can touch another before.
 uint64_t Twin::State::slice_ticks() const {
     if (!feel) return lone_ticks;
-    if (!any_awake()) return to_sync(); // after that time alone may go on
-    const uint64_t due = next_meeting();
-    return std::clamp(due - std::min(due, now), to_sync(), lone_ticks);
+    const uint64_t to_sync = sync_ticks - now % sync_ticks;
+    if (any_felt()) return to_sync;
+    const uint64_t due = neighbours.next_due();
+    return std::clamp(due - std::min(due, now), to_sync, lone_ticks);
 }
 
 void Twin::State::run_all(Turn what) {
     turns.resize(groups.size());
     std::iota(turns.begin(), turns.end(), size_t{0});
-    run_turns(what);
-}
-
-void Twin::State::run_turns(Turn what) {
     turn = what;
     workers.run(turns.size());
 }
@@ -162,7 +159,7 @@ void Twin::State::look_around(uint64_t most_ticks) {
     const uint64_t whole = std::clamp(2 * most_ticks, sync_ticks, lone_ticks);
     const bool touching = any_felt(), due = at_sync() && neighbours.next_due() < now + whole;
     if (!touching && !due) return;
-    ahead = whole - sync_ticks;
+    ahead = touching ? 0 : whole - sync_ticks;
     if (at_sync()) {
         run_all(Turn::shows);
         show_poses();
@@ -179,37 +176,18 @@ void Twin::State::run_slice(uint64_t most_ticks) {
     slice = std::min(slice_ticks(), most_ticks);
     ++slices;
     turns.clear();
-    feeling.clear();
-    for (size_t group = 0; group < groups.size(); ++group) (feels(group) ? feeling : turns).push_back(group);
-    run_turns(Turn::runs);
-    if (feeling.empty())
+    closely.clear();
+    for (size_t group = 0; group < groups.size(); ++group)
+        (in_contact(group) && pushes(group) ? closely : turns).push_back(group);
+    turn = Turn::runs;
+    workers.run(turns.size());
+    if (closely.empty())
         now += slice;
     else
-        run_feeling(now + slice);
+        run_closely(std::exchange(slice, 1));
 }
 
-// The groups that are left, from sync point to sync point. Nothing else can touch their arms before `end`.
-void Twin::State::run_feeling(uint64_t end) {
-    while (true) {
-        slice = std::min(to_sync(), end - now);
-        turns.clear();
-        closely.clear();
-        for (const size_t group : feeling) (pushes(group) ? closely : turns).push_back(group);
-        run_turns(Turn::runs);
-        if (closely.empty())
-            now += slice;
-        else
-            run_closely(std::exchange(slice, 1));
-        if (now == end) return;
-        turns = feeling;
-        ahead = 0;
-        run_turns(Turn::shows);
-        show_poses();
-        run_turns(Turn::looks);
-    }
-}
-
-// Those of them on whose arms forces may change in each tick.
+// The groups that are left, tick by tick: forces may change in each.
 void Twin::State::run_closely(uint64_t ticks) {
     turns.swap(closely);
     tick_by_tick = true;

@@ -26,17 +26,14 @@ struct Twin::State {
     void boot(const TwinSetup &s);
     void run_slice(uint64_t most_ticks);
     void run_all(Turn what);
-    void run_turns(Turn what);
     void look_around(uint64_t most_ticks);
-    void run_feeling(uint64_t end);
     void run_closely(uint64_t ticks);
     void take_turn(size_t group);
     void run_group(size_t group, uint64_t ticks);
 
     void feel_group(size_t group);
     bool touches(size_t i) const { return felt[i] != 0 && !positioners[i].touch().contacts.empty(); }
-    bool feels(size_t group) const;
-    uint64_t next_meeting() const;
+    bool in_contact(size_t group) const;
     bool pushes(size_t group);
 
     void feel_neighbours(size_t i, PositionerGroup &group);
@@ -61,7 +58,6 @@ struct Twin::State {
     }
     // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
     bool at_sync() const { return now % sync_ticks == 0; }
-    uint64_t to_sync() const { return sync_ticks - now % sync_ticks; }
     uint64_t slice_ticks() const;
     struct Rows {
         size_t begin, end;
@@ -100,8 +96,7 @@ struct Twin::State {
     uint64_t slices = 0;          // so far
     uint64_t ahead = 0;           // of this look, see Neighbours::Moment
     std::vector<size_t> turns;    // groups of the batch that runs
-    std::vector<size_t> feeling;  // those that are left, with an arm that is `felt`
-    std::vector<size_t> closely;  // and those of them whose arms touch: they run tick by tick
+    std::vector<size_t> closely;  // and those that are left, whose arms touch: they run tick by tick
     std::vector<uint8_t> felt;    // by positioner: it touches something, or has just done so
     std::vector<uint8_t> pushed;  // by positioner: the force on it may change from tick to tick in this slice
     std::vector<uint32_t> scoped; // by group: who has a scope on, a bit each

@@ -113,8 +113,6 @@ class Neighbours {
 
     // The first tick at which something could touch positioner i, as far as speeds tell.
     uint64_t due(size_t i) const { return next_look_[i]; }
-    // The same of all that is not among these contacts of it.
-    uint64_t due_beside(size_t i, const std::vector<Contact> &contacts) const;
     // The first tick at which something could touch something.
     uint64_t next_due() const;
     // Whether push() needs the pose of positioner i for pairs that are due at this tick: two look at each
@@ -200,9 +198,6 @@ class Neighbours {
     }
     // Those of positioner i.
     std::span<Near> near(size_t i) {
-        return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};
-    }
-    std::span<const Near> near(size_t i) const {
         return {near_.data() + first_near_[i], near_.data() + first_near_[i + 1]};
     }
     struct Levers { // mm of an arm for a rad of its motors
