@@ -178,8 +178,7 @@ def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most)
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
-# 200, in a pocket, made way in steps of the wide grid, and a move at less than full speed lost what is left of
-# its last step: 1.322.
+# 200, in a pocket, made way on the wide grid, and a long move lost what is missing from its last step: 1.322.
 def test_one_in_a_pocket_makes_way_finely():
     check_whole_pair(160, 2.0, {200}, 1.3)
 
