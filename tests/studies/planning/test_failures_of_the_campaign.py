@@ -178,6 +178,11 @@ def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most)
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
+# 200, in a pocket, made way on the wide grid, and a long move lost what is missing from its last step: 1.322.
+def test_one_in_a_pocket_makes_way_finely():
+    check_whole_pair(160, 2.0, {200}, 1.3)
+
+
 # 323: 630 and 1365 were given up among all their neighbours. 970: with this seed 885 beside 793.
 @pytest.mark.parametrize(
     ("seed", "buffer_mm", "refused", "most", "of_search"),
@@ -212,7 +217,7 @@ def test_grids_that_are_finer_at_their_ends_take_knots_apart(seed, buffer_mm, re
 
 
 def test_what_holds_the_slowest_plan_up():
-    """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.43 of its straight way.
+    """Pair 160 at 2.0 mm: 501 starts stretched beside a fiducial and alone takes 1.42 of its straight way.
     200 is in a pocket beside it, 689 and 1155 cross it.
     """
     array = array_at(2.0)
@@ -227,5 +232,5 @@ def test_what_holds_the_slowest_plan_up():
         return made.duration_s / bound_s(plane, *ends_deg, refused=made.refused)
 
     alone, among = over_the_bound([501]), over_the_bound([200, 501, 689, 1155])
-    assert alone == pytest.approx(1.427, abs=0.001)
+    assert alone == pytest.approx(1.416, abs=0.001)
     assert 1.6 < among < 1.72

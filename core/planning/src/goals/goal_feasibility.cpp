@@ -298,9 +298,24 @@ bool GoalFeasibility::try_place(PositionerIndex i, Angles place, bool rests) {
         // it shall not be asked to move unless its approach is clear as well
         if (!comes || !find_path_alone(i)) freeze(i);
     }
+    if (!goal.stuck) go_finely_in_a_pocket(i);
     goal.settled = true;
     goal.gone = false;
     return true;
+}
+
+// One that can only be beside its start has no long way to go: on the finest grid it loses no time, and finds
+// places in which it is less in the way. On a wide one it has a few places.
+void GoalFeasibility::go_finely_in_a_pocket(PositionerIndex i) {
+    const List<Angles> places = reachable_places(i);
+    if (!std::all_of(places.begin(), places.end(), [&](Angles place) { return beside(place, start(i)); }))
+        return;
+    Goal &goal = goals_[i];
+    const Goal before = goal;
+    goal.finer = finest;
+    goal.hastened = true;
+    goal.steps_alone = make_robot(i).steps_alone();
+    if (goal.steps_alone < 0) goal = before;
 }
 
 // Folded arms, nearest to the start first; with the other elbow where the room of beta is there.

@@ -146,6 +146,7 @@ class GoalFeasibility {
     bool try_place(PositionerIndex i, Angles place, bool rests);
     List<Angles> folded_places(PositionerIndex i) const;
     List<Angles> reachable_places(PositionerIndex i);
+    void go_finely_in_a_pocket(PositionerIndex i);
     List<SweptArm> straight_way(PositionerIndex i) const;
     List<Angles> elsewhere(PositionerIndex i, const List<Angles> &places) const;
     bool make_way(PositionerIndex i);

@@ -46,6 +46,7 @@ int find(const List<double> &lines, double value) {
 
 AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine) {
     zero_rad_ = span.zero_rad;
+    step_rad_ = step_rad;
     const double way = span.goal_rad - span.start_rad;
     const int between = static_cast<int>(std::ceil(std::abs(way) / step_rad - 1e-9));
     lines_.push_back(span.start_rad);

@@ -43,6 +43,8 @@ class AxisGrid {
     // Lines at most step_rad apart.
     AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine = {});
 
+    // How far the axis goes in a step at full speed.
+    double step_rad() const { return step_rad_; }
     int size() const { return lines_.size(); }
     int start() const { return start_; }
     int goal() const { return goal_; }
@@ -83,7 +85,7 @@ class AxisGrid {
 
     List<double> lines_;
     List<Turn> turns_;
-    double zero_rad_ = 0.0;
+    double zero_rad_ = 0.0, step_rad_ = 0.0;
     int start_ = 0;
     int goal_ = 0;
 };

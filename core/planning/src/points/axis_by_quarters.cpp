@@ -74,12 +74,33 @@ Knots AxisByQuarters::knots() const {
     return out;
 }
 
-int AxisByQuarters::first_to_pull(int move) const {
+std::optional<AxisByQuarters::First> AxisByQuarters::first_to_pull(int move, Spare spare) const {
     for (int k = move; k >= 0; --k) {
-        if (k < move && moves_[k].pulled) return k + 1;
-        if (rest_before(k) > moves_[k].least_rest) return k;
+        if (k < move && moves_[k].pulled) return First{k + 1};
+        const bool rests = rest_before(k) > moves_[k].least_rest;
+        if (rests && spare != Spare::slower_first) return First{k};
+        if (spare != Spare::rests && slower_stretch(k)) return First{k, true};
+        if (rests) return First{k};
     }
-    return -1;
+    return std::nullopt;
+}
+
+// Of the stretch that ends there; no earlier than a quarter.
+int AxisByQuarters::begin_of_stretch(int end, int first) const {
+    const double speed = raw(end) - raw(end - 1);
+    int begin = end - 1;
+    while (begin > first && std::abs(raw(begin) - raw(begin - 1) - speed) < same_rad) --begin;
+    return begin;
+}
+
+// The last one of a move that in a quarter less would be no faster than the axis can go.
+std::optional<AxisByQuarters::Stretch> AxisByQuarters::slower_stretch(int move) const {
+    for (int end = moves_[move].end; end > moves_[move].begin;) {
+        const int begin = begin_of_stretch(end, moves_[move].begin);
+        if (std::abs(raw(end) - raw(begin)) < (end - 1 - begin) * fastest_rad()) return Stretch{begin, end};
+        end = begin;
+    }
+    return std::nullopt;
 }
 
 void AxisByQuarters::pull(int move) {
@@ -88,6 +109,26 @@ void AxisByQuarters::pull(int move) {
     --m.begin;
     --m.end;
     m.pulled = true;
+}
+
+void AxisByQuarters::shorten(int move) {
+    const Stretch stretch = *slower_stretch(move);
+    AxisMove &m = moves_[move];
+    const double from = raw(stretch.begin), way = raw(stretch.end) - from;
+    const int last = stretch.end - 1, number = last - stretch.begin;
+    for (int k = 1; k < number; ++k) raw_rad_[stretch.begin + k] = from + way * k / number;
+    for (int quarter = last; quarter < m.end; ++quarter) raw_rad_[quarter] = raw_rad_[quarter + 1];
+    --m.end;
+    m.pulled = true;
+}
+
+// A move from rest at full speed changes it by half of that at each of its corners.
+bool AxisByQuarters::smooth() const {
+    for (int quarter = 0; quarter <= end() + 1; ++quarter) {
+        const double before = sent(quarter) - sent(quarter - 1), after = sent(quarter + 1) - sent(quarter);
+        if (std::abs(after - before) > 0.5 * fastest_rad() + same_rad) return false;
+    }
+    return true;
 }
 
 void AxisByQuarters::take_marks_off() {

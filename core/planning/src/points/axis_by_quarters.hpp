@@ -5,8 +5,13 @@
 #include "search/path_set.hpp"
 
 #include <algorithm>
+#include <optional>
 
 namespace fl::planning {
+
+// Where a quarter comes from: from rests alone, from them or else from what is slower than the axis can go,
+// or the other way round.
+enum class Spare { rests, rests_first, slower_first };
 
 // From rest to rest, in quarters of the raw motion.
 struct AxisMove {
@@ -30,16 +35,33 @@ class AxisByQuarters {
     int nearest(int quarter) const;
     Knots knots() const;
 
-    // The first of the moves that have to be a quarter earlier so that this one can be; -1: it cannot.
-    int first_to_pull(int move) const;
+    // The first of the moves that have to be a quarter earlier so that this one ends earlier, or that has to
+    // take a quarter less.
+    struct First {
+        int move = 0;
+        bool shorter = false;
+    };
+    std::optional<First> first_to_pull(int move, Spare spare) const;
     // A quarter earlier. @pre the rest before it is longer than the least one.
     void pull(int move);
+    // A quarter shorter: the last stretch that can be goes faster, what follows it is earlier. @pre there is
+    // one.
+    void shorten(int move);
     void take_marks_off();
+    // Whether no corner of what is sent is sharper than on a path.
+    bool smooth() const;
 
   private:
     void find_moves();
     int rest_before(int move) const { return moves_[move].begin - (move == 0 ? 1 : moves_[move - 1].end); }
     int least_rest(int end, int begin) const;
+    // At one speed, between two quarters of the raw motion.
+    struct Stretch {
+        int begin = 0, end = 0;
+    };
+    double fastest_rad() const { return grid_->step_rad() / quarters; } // in a quarter
+    int begin_of_stretch(int end, int first) const;
+    std::optional<Stretch> slower_stretch(int move) const;
     bool rests_at(int quarter) const { return raw(quarter) == raw(quarter + 1); }
     bool short_rest_at(int quarter) const {
         return rests_at(quarter) && !rests_at(quarter - 1) && !rests_at(quarter + 1);

@@ -53,13 +53,8 @@ class Pulling {
 
     EarlierByQuarters run() {
         EarlierByQuarters out{0, List<OwnKnots, PathIndex>(paths_.size())};
-        for (int tried = 0, next = 0; tried < choices && !enough_(); ++tried, next = (next + 1) % choices) {
-            choice_ = choice_of(next);
-            while (!enough_() && a_quarter_less()) {
-                ++out.quarters;
-                tried = 0;
-            }
-        }
+        for (const Spare spare : {Spare::rests, Spare::rests_first, Spare::slower_first})
+            out.quarters += quarters_less(spare);
         for (const PathIndex i : changed_)
             if (out.knots[i].empty()) out.knots[i] = {way(i).axes[0].knots(), way(i).axes[1].knots()};
         return out;
@@ -75,10 +70,12 @@ class Pulling {
         return *ways_[i];
     }
 
+    int quarters_less(Spare spare);
     bool a_quarter_less();
     bool pull_last();
     bool pull_last_of(PathIndex i);
     bool ends_softly(PathIndex i);
+    bool goes_softly(PathIndex i);
     bool pull(const OneMove &which);
     bool pull_around(PathIndex i, int step);
     void touch(PathIndex i);
@@ -104,8 +101,23 @@ class Pulling {
     List<Touched> touched_;
     List<PathIndex> open_; // those that have to be tested, the first one first
     Choice choice_;
+    Spare spare_ = Spare::rests;
     int end_ = 0; // quarter in which the last one arrives
 };
+
+// By so many the plan then ends earlier: by each choice as often as it can be, until none can.
+int Pulling::quarters_less(Spare spare) {
+    spare_ = spare;
+    int less = 0;
+    for (int tried = 0, next = 0; tried < choices && !enough_(); ++tried, next = (next + 1) % choices) {
+        choice_ = choice_of(next);
+        while (!enough_() && a_quarter_less()) {
+            ++less;
+            tried = 0;
+        }
+    }
+    return less;
+}
 
 // All that arrive last, a quarter earlier, and those that they then meet, and so on. All as before if one of
 // them cannot.
@@ -117,7 +129,7 @@ bool Pulling::a_quarter_less() {
         done = part(i);
     }
     done = done && std::all_of(touched_.begin(), touched_.end(),
-                               [this](const Touched &t) { return ends_softly(t.path.index); });
+                               [this](const Touched &t) { return goes_softly(t.path.index); });
     end_attempt(done);
     if (done) --end_;
     return done;
@@ -150,15 +162,21 @@ bool Pulling::ends_softly(PathIndex i) {
     return way(i).axes[0].end() != end_ - 2 && way(i).axes[1].end() != end_ - 2;
 }
 
-// A move a quarter earlier, and those before it that leave no more rest. False if they cannot.
+bool Pulling::goes_softly(PathIndex i) {
+    return ends_softly(i) && way(i).axes[0].smooth() && way(i).axes[1].smooth();
+}
+
+// A move a quarter earlier, and those before it that leave no more rest, or what is left of it after a part
+// that goes faster. False if they cannot.
 bool Pulling::pull(const OneMove &which) {
     touch(which.whose);
     AxisByQuarters &axis = way(which.whose).axes[which.axis];
     if (axis.moves()[which.move].pulled) return true;
-    const int first = axis.first_to_pull(which.move);
-    if (first < 0) return false;
-    for (int k = first; k <= which.move; ++k) axis.pull(k);
-    sweep_anew(which.whose, axis.moves()[first].begin, axis.moves()[which.move].end + 1);
+    const auto first = axis.first_to_pull(which.move, spare_);
+    if (!first) return false;
+    if (first->shorter) axis.shorten(first->move);
+    for (int k = first->move + first->shorter; k <= which.move; ++k) axis.pull(k);
+    sweep_anew(which.whose, axis.moves()[first->move].begin, axis.moves()[which.move].end + 1);
     return true;
 }
 
