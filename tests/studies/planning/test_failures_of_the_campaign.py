@@ -178,6 +178,11 @@ def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most)
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
+# 840 changed its speed on one axis a quarter of a step before the other ended: too late for the turn to its goal.
+def test_no_axis_changes_its_speed_just_before_the_approach():
+    check_whole_pair(140, 2.0, set(), 1.11)
+
+
 # 200, in a pocket, made way on the wide grid, and a long move lost what is missing from its last step: 1.322.
 def test_one_in_a_pocket_makes_way_finely():
     check_whole_pair(160, 2.0, {200}, 1.3)

@@ -67,10 +67,8 @@ int AxisByQuarters::nearest(int quarter) const {
 
 Knots AxisByQuarters::knots() const {
     Knots out{{0, sent(0)}};
-    for (int quarter = 1; quarter <= end() + 1; ++quarter) {
-        const double before = sent(quarter) - sent(quarter - 1), after = sent(quarter + 1) - sent(quarter);
-        if (std::abs(after - before) >= same_rad) out.push_back({quarter, sent(quarter)});
-    }
+    for (int quarter = 1; quarter <= end() + 1; ++quarter)
+        if (!steady(quarter)) out.push_back({quarter, sent(quarter)});
     return out;
 }
 
@@ -124,12 +122,12 @@ void AxisByQuarters::shorten(int move) {
 
 // A move from rest at full speed changes it by half of that at each of its corners.
 bool AxisByQuarters::smooth() const {
-    for (int quarter = 0; quarter <= end() + 1; ++quarter) {
-        const double before = sent(quarter) - sent(quarter - 1), after = sent(quarter + 1) - sent(quarter);
-        if (std::abs(after - before) > 0.5 * fastest_rad() + same_rad) return false;
-    }
+    for (int quarter = 0; quarter <= end() + 1; ++quarter)
+        if (std::abs(change(quarter)) > 0.5 * fastest_rad() + same_rad) return false;
     return true;
 }
+
+bool AxisByQuarters::steady(int quarter) const { return std::abs(change(quarter)) < same_rad; }
 
 void AxisByQuarters::take_marks_off() {
     for (AxisMove &move : moves_) move.pulled = false;

@@ -48,10 +48,15 @@ class AxisByQuarters {
     // one.
     void shorten(int move);
     void take_marks_off();
-    // Whether no corner of what is sent is sharper than on a path.
+    // Whether what is sent keeps its speed in a quarter; and whether no corner of it is sharper than on a
+    // path.
+    bool steady(int quarter) const;
     bool smooth() const;
 
   private:
+    double change(int quarter) const { // of speed, rad a quarter
+        return sent(quarter + 1) - 2.0 * sent(quarter) + sent(quarter - 1);
+    }
     void find_moves();
     int rest_before(int move) const { return moves_[move].begin - (move == 0 ? 1 : moves_[move - 1].end); }
     int least_rest(int end, int begin) const;

@@ -75,7 +75,7 @@ class Pulling {
     bool pull_last();
     bool pull_last_of(PathIndex i);
     bool ends_softly(PathIndex i);
-    bool goes_softly(PathIndex i);
+    bool all_go_softly();
     bool pull(const OneMove &which);
     bool pull_around(PathIndex i, int step);
     void touch(PathIndex i);
@@ -128,8 +128,7 @@ bool Pulling::a_quarter_less() {
         open_.erase(open_.begin());
         done = part(i);
     }
-    done = done && std::all_of(touched_.begin(), touched_.end(),
-                               [this](const Touched &t) { return goes_softly(t.path.index); });
+    done = done && all_go_softly();
     end_attempt(done);
     if (done) --end_;
     return done;
@@ -154,16 +153,21 @@ bool Pulling::pull_last_of(PathIndex i) {
     return true;
 }
 
-// Where an axis ends a quarter before the end of the other, and the approach begins at once, it takes from
-// the last corner half of the time in which the speed changes from the one to the other: more than the
-// acceleration allows.
+// Where an axis ends, or changes its speed, a quarter before the end of the other, and the approach begins at
+// once, it takes from the last corner half of the time in which the speed changes from the one to the other:
+// more than the acceleration allows.
 bool Pulling::ends_softly(PathIndex i) {
     if (end_of(i) != end_ - 1) return true;
-    return way(i).axes[0].end() != end_ - 2 && way(i).axes[1].end() != end_ - 2;
+    return way(i).axes[0].steady(end_ - 1) && way(i).axes[1].steady(end_ - 1);
 }
 
-bool Pulling::goes_softly(PathIndex i) {
-    return ends_softly(i) && way(i).axes[0].smooth() && way(i).axes[1].smooth();
+// On a path, in whole steps, all do.
+bool Pulling::all_go_softly() {
+    for (const PathIndex i : paths_.places())
+        if (ways_[i] && !ends_softly(i)) return false;
+    return std::all_of(touched_.begin(), touched_.end(), [this](const Touched &t) {
+        return way(t.path.index).axes[0].smooth() && way(t.path.index).axes[1].smooth();
+    });
 }
 
 // A move a quarter earlier, and those before it that leave no more rest, or what is left of it after a part
