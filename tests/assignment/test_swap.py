@@ -134,7 +134,7 @@ def test_only_a_swap_unties_two_arms(knot):
     assert swapped.first.duration_s > 15.0
     assert swapped.plan.duration_s < 12.0
     assert verify(plane, swapped.plan, goal_deg=swapped.assignment.goal_deg).ok
-    assert f"{swapped.first.duration_s} to {swapped.plan.duration_s} s" in repr(swapped)
+    assert f"{swapped.first.duration_s:.1f} to {swapped.plan.duration_s:.1f} s" in repr(swapped)
 
 
 def test_a_swap_brings_home_who_is_refused(knot):
