@@ -178,7 +178,7 @@ def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most)
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
-# 840 changed its speed on one axis a quarter of a step before the other ended: too late for the turn to its goal.
+# 840 changed its speed on one axis a quarter of a step before the other ended: too late to turn to its goal.
 def test_no_axis_changes_its_speed_just_before_the_approach():
     check_whole_pair(140, 2.0, set(), 1.11)
 
