@@ -1,11 +1,14 @@
 """A night that is served: what is shown is what the store has, and what people ask of it, by HTTP."""
 
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from served import OURS, asking, idle, served_three_fields, wait_for
 
+from fiberloom.night.asked.control import NightControl
+from fiberloom.service.array import Author, Busy
 from fiberloom.service.guard.tokens import TokenFile
 from fiberloom.service.night.served_night import ServedNight
 from fiberloom.store import Store
@@ -188,6 +191,19 @@ def test_a_viewer_sees_the_night_and_changes_nothing(done, array, folder, night,
             ("alarms/1/acknowledge", None),
         ):  # fmt: skip
             assert viewer.post(f"/api/v1/night/{path}", json=body).status_code == 403, path
+
+
+def test_a_night_that_only_begins_takes_no_orders_for_the_one_before():
+    """It calibrates first, and has no record: a pause then went to the night before, and was lost."""
+    last = SimpleNamespace(control=NightControl())
+    array = SimpleNamespace(running=SimpleNamespace(name="night"), hub=None)
+    night = ServedNight(array, Path("queue.toml"))
+    night._begun(last)
+    assert (night.begins, night.goes_on) == (False, True)
+    array.running = SimpleNamespace(name="night")  # the next one
+    with pytest.raises(Busy, match="the night only begins"):
+        night.pause(Author("ann", "operator"))
+    assert (night.begins, night.goes_on, last.control.paused_by) == (True, False, "")
 
 
 def test_people_outside_are_told_though_health_cannot_judge():

@@ -22,7 +22,7 @@ from fiberloom.night.setup import NightSetup
 from fiberloom.operation.known import Learning, known_so_far
 from fiberloom.operation.session.session import KnownArray
 from fiberloom.operation.session.states import Deed
-from fiberloom.service.array import Author, Busy, ServedArray
+from fiberloom.service.array import Author, Busy, RunningCommand, ServedArray
 from fiberloom.service.night.view import night_view, open_alarms
 from fiberloom.service.pace import PacedSource
 from fiberloom.store import Store
@@ -60,6 +60,8 @@ class ServedNight:
         """`array`: on which; `queue_file`: TOML; `pace`: of a twin inside of this process."""
         self.array, self.queue_file, self.pace = array, queue_file.resolve(), pace
         self._runner: NightRunner | None = None
+        self._carried: RunningCommand | None = None
+        """The command that the runner carries out, or did."""
         self._store: Store | None = None
         self._news, self._over = threading.Event(), threading.Event()
         self._sent: set[int] = set()
@@ -84,10 +86,16 @@ class ServedNight:
     # what is asked
 
     @property
-    def goes_on(self) -> bool:
-        """The night is carried out now."""
+    def begins(self) -> bool:
+        """A night was asked for and has no record yet: what is known is that of the one before."""
         running = self.array.running
-        return running is not None and running.name == "night"
+        return running is not None and running.name == "night" and running is not self._carried
+
+    @property
+    def goes_on(self) -> bool:
+        """The night is carried out now, and on record."""
+        running = self.array.running
+        return running is not None and running is self._carried
 
     def begin(self, author: Author, resume: bool, key: str = "") -> CommandRecord:
         """Begins the night, or goes on with the last one of this queue where `resume` says so.
@@ -154,7 +162,7 @@ class ServedNight:
         """The night as it is shown; before the first one the queue alone."""
         runner = self._runner
         if runner is None:
-            return {"queue": self.queue_file.name, "goes_on": self.goes_on, "resume": self.can_resume()}
+            return {"queue": self.queue_file.name, "goes_on": self.begins, "resume": self.can_resume()}
         rate = 1.0 if self.pace is None else self.pace.source.speed
         told = night_view(runner, self._shown_queue(runner), rate, self.goes_on)
         return told | {"queue": self.queue_file.name, "resume": self.can_resume()}
@@ -203,7 +211,7 @@ class ServedNight:
             self._report(setup)
 
     def _begun(self, runner: NightRunner) -> None:
-        self._runner = runner
+        self._runner, self._carried = runner, self.array.running
         self._news.set()
 
     def _progress(self, text: str) -> None:
@@ -253,6 +261,8 @@ class ServedNight:
     def _recorded(self, name: str, author: Author, asked: dict[str, Any]) -> Any:
         """A command to the night that goes on: on record with its author before it acts, and how it ended."""
         runner = self._runner
+        if self.begins:
+            raise Busy(f"{name}: the night only begins; ask again when its first step is shown")
         if runner is None or not self.goes_on:
             raise Busy(f"{name}: no night goes on; begin one, or resume the last one")
         commands = CommandBook(ArrayBook(self._opened(), self.array.book.address))

@@ -70,10 +70,11 @@ function button(text, role, may, act, title = "") {
   return made;
 }
 
-// `ask` of the page: what each button does; `may` the role that it needs
+// `ask` of the page: what each button does; `may` the role that it needs. While a night begins there is none yet
+// that could take orders.
 export function showNight(place, night, { may, begin, pause, goOn, park, skip, first, add }) {
   const buttons = night.goes_on
-    ? [night.paused_by ? button("go on", "operator", may, goOn) : button("pause", "operator", may, pause, "after what is under way"),
+    ? !night.bars ? [] : [night.paused_by ? button("go on", "operator", may, goOn) : button("pause", "operator", may, pause, "after what is under way"),
       button("park at once", "operator", may, park, "ends the night; an exposure is not cut short"),
       button("add field …", "operator", may, add, "with the target list that is chosen above")]
     : [...(night.resume ? [button("resume night", "operator", may, () => begin(true))] : []), button("begin night", "operator", may, () => begin(false))];
