@@ -75,8 +75,8 @@ def ioc(tmp_path_factory):
 
 def test_a_client_reads_the_state_and_stops_a_motion(ioc):
     assert ioc.until("STATE", "off") == ("off", 0)
-    assert ioc.read("ADDRESS")[0] == BUS
-    assert ioc.read("POSITIONERS")[0] == 7
+    ioc.until("ADDRESS", BUS)  # records are written one after the other
+    ioc.until("POSITIONERS", 7)
     beat = ioc.read("HEARTBEAT")[0]
     ioc.until("HEARTBEAT", lambda now: now > beat)
     ioc.tell("slow")
