@@ -185,7 +185,9 @@ FL_CLONES void BlockedCells::mark(const TouchTable &table, Vec2 elbow, TurnPart 
         std::uint64_t near = bits_of(squared < all(reach));
         if (near == 0) continue;
         const Int8 bearings = directions_of(x, y);
-        const Int8 rows = __builtin_convertvector(squared * (1.0f / TouchTable::row_mm2), Int8);
+        // of elbows that are beyond the reach no place is asked for
+        const Float8 within = squared < all(reach) ? squared : all(0.0f);
+        const Int8 rows = __builtin_convertvector(within * (1.0f / TouchTable::row_mm2), Int8);
         const Int8 places = TouchTable::place_of(rows, direction - bearings);
         const Int8 turned = bearings - load(&elbows_.direction[first]);
         for (; near != 0; near &= near - 1) {
