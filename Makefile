@@ -151,7 +151,8 @@ PRELOAD = $$(gcc -print-file-name=lib$(1).so)
 # The core under sanitizers, driven by those Python tests that reach most of it in some minutes.
 SANITIZED := tests/firmware tests/geometry tests/twin/test_twin.py tests/twin/test_neighbours.py \
              tests/twin/faults/test_faults.py tests/twin/test_laws_side_by_side.py tests/planning/test_verifier.py \
-             tests/metrology/test_centroids.py tests/metrology/images/test_images.py \
+             tests/planning/points tests/planning/test_in_hand.py tests/planning/test_step_of_the_search.py \
+             tests/planning/test_untangle.py tests/metrology/test_centroids.py tests/metrology/images/test_images.py \
              tests/fuzz/test_fuzz_images.py
 sanitized: setup
 	$(call SPECIAL_BUILD,sanitized,FIBERLOOM_SANITIZE)
