@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -62,9 +63,9 @@ def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Ax
 
 def _draw_discs(axes: Axes, discs: Floats) -> None:
     """Of centres and radii (n, 3) mm, as one artist: as patches the extent of each would be sought."""
-    width = 2.0 * discs[:, 2]
-    how = {"units": "xy", "offsets": discs[:, :2], "offset_transform": axes.transData}
-    axes.add_collection(EllipseCollection(width, width, np.zeros(len(discs)), color="0.88", zorder=0, **how))
+    width, level = 2.0 * discs[:, 2], np.zeros(len(discs))
+    how: dict[str, Any] = {"units": "xy", "offsets": discs[:, :2], "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(width, width, level, color="0.88", zorder=0, **how))
 
 
 def frame_positioners(axes: Axes, plane: FocalPlane) -> None:

@@ -59,7 +59,7 @@ def put_one(connection: Connection, table: Table, values: Mapping[str, Any]) -> 
 def change(connection: Connection, table: Table, where: Any, values: Mapping[str, Any]) -> int:
     """Gives rows that exist new values and new sums; how many there were.
 
-    `connection`: of the transaction; `where`: which rows; `values`: by column.
+    `connection`: of the transaction; `where`: which rows of the `table`; `values`: by column.
     Raises DamagedError where one of them has changed by itself: a new sum would hide that.
     """
     # to itself: from here to the end of the transaction no other process changes these rows
