@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance, save_arms
+from fiberloom.calibration.focal_plane.arms_file import ArmsFile, load_arms, save_arms
 from fiberloom.calibration.focal_plane.design import Design, candidates
 from fiberloom.calibration.focal_plane.fit import (
     PARAMETERS,
@@ -234,7 +234,7 @@ def test_the_file_gives_back_what_was_fitted(tmp_path):
     np.testing.assert_array_equal(made.arms[7], PLANE.arms[7])
     part = load_arms(tmp_path / "arms.ecsv", PLANE.select([9, 3]))
     np.testing.assert_allclose(part.arms, made.arms[[9, 3]], atol=1e-12)
-    covariance = load_arms_covariance(tmp_path / "arms.ecsv", PLANE)
+    covariance = ArmsFile.read(tmp_path / "arms.ecsv", PLANE).covariance_mm2()
     np.testing.assert_allclose(covariance[0], fit.arms_covariance_mm2[0], rtol=1e-9)
     np.testing.assert_allclose(covariance[7], np.eye(4) * 1e-6)
 

@@ -110,6 +110,14 @@ def test_the_package_alone_loads_nothing():
     assert sorted(set(done.stdout.split()) & {*SLOW, "numpy", "pydantic", "typer"}) == []
 
 
+def test_the_store_loads_no_mapper_of_objects():
+    code = "import sys, fiberloom.store.database; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    modules = done.stdout.split()
+    assert "sqlalchemy" in modules
+    assert "sqlalchemy.orm" not in modules
+
+
 THREADS = """
 import os, sys
 from fiberloom.cli import main

@@ -26,7 +26,7 @@ from valid_files import PLANE, SMALL_PFS, WRITERS
 import fiberloom as fl
 from fiberloom.calibration.fibres.exposures_file import read_exposures
 from fiberloom.calibration.fibres.offsets import FibreOffsets
-from fiberloom.calibration.focal_plane.arms_file import load_arms, load_arms_covariance
+from fiberloom.calibration.focal_plane.arms_file import ArmsFile
 from fiberloom.cli.array.site import load_site
 from fiberloom.drive.piezo import read_module_maps
 from fiberloom.drive.steppers.kept import read_units
@@ -58,8 +58,9 @@ def read_trajectories(path: Path) -> None:
 
 
 def read_arms(path: Path) -> None:
-    load_arms(path, PLANE)
-    load_arms_covariance(path, PLANE)
+    arms = ArmsFile.read(path, PLANE)
+    arms.calibrated()
+    arms.covariance_mm2()
 
 
 def read_maps(path: Path) -> None:

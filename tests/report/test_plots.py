@@ -89,7 +89,8 @@ def test_a_focal_plane_shows_every_arm_and_colours_the_served_fibres(few, tmp_pa
         np.testing.assert_array_equal(alpha[1], beta[0])
     lengths = [np.hypot(*(s[1] - s[0])) for s in arms[0].get_segments()]
     np.testing.assert_allclose(lengths, few.l_alpha_mm, rtol=1e-9)
-    dots, rings = [c for c in axes.collections if not isinstance(c, LineCollection)]
+    fiducials, dots, rings = [c for c in axes.collections if not isinstance(c, LineCollection)]
+    np.testing.assert_array_equal(fiducials.get_offsets(), few.fiducials[:, :2])
     # no target, served, flagged
     np.testing.assert_array_equal(dots.get_array(), [2.0])
     assert len(rings.get_offsets()) == 1

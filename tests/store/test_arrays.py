@@ -11,7 +11,7 @@ import pytest
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.arrays import STALE_S, ArrayBook, ArrayPlaces, NotOwner, arrays_of
-from fiberloom.store.schema import ArrayStateRow
+from fiberloom.store.schema import ARRAY_STATE
 from fiberloom.store.sums import change
 
 BUS = "cannet://10.1.10.31:19228"
@@ -26,7 +26,7 @@ def book(place):
 
 def backdate(book, **values):
     with book.store.transaction() as connection:
-        change(connection, ArrayStateRow, ArrayStateRow.address == BUS, values)
+        change(connection, ARRAY_STATE, ARRAY_STATE.c.address == BUS, values)
 
 
 def dead_pid():

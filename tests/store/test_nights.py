@@ -11,6 +11,7 @@ from fiberloom.night.overhead import learned_s
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, night_of, nights
+from fiberloom.store.schema import NIGHTS
 from fiberloom.store.service.alarms import Severity
 from fiberloom.store.service.commands import CommandBook, CommandResult
 from fiberloom.store.service.history import positioner_history
@@ -54,15 +55,9 @@ def test_a_night_of_a_process_that_is_there_is_not_taken_over(book):
         book.take_over()
     child = subprocess.Popen(["true"])
     child.wait()
-    book._change(type_of_night(), book.id, {"pid": child.pid})
+    book._change(NIGHTS, book.id, {"pid": child.pid})
     book.take_over()
     assert book.about.goes_on
-
-
-def type_of_night():
-    from fiberloom.store.schema import NightRow
-
-    return NightRow
 
 
 def test_visits_stages_and_exposures(book):

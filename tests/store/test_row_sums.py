@@ -15,7 +15,7 @@ from fiberloom.store.engines import file_engine
 from fiberloom.store.learnt import OBSERVE, Learnt, LearntHistory, generations
 from fiberloom.store.nights.book import NightBook, nights
 from fiberloom.store.parts import pack
-from fiberloom.store.schema import Base, PlaceRow
+from fiberloom.store.schema import PLACES, TABLES
 from fiberloom.store.service.alarms import Severity
 from fiberloom.store.sums import _sum
 
@@ -107,7 +107,7 @@ CASES = {
 
 
 def test_every_table_has_a_case():
-    assert set(CASES) == set(Base.metadata.tables) - {"fiberloom_schema"}
+    assert set(CASES) == set(TABLES.tables) - {"fiberloom_schema"}
 
 
 def test_what_was_not_touched_is_read(path):
@@ -195,8 +195,8 @@ def test_a_datum_that_was_never_searched_is_not_believed(path):
 
 def test_sums_of_places_that_left_the_datum_out_are_right_still(path):
     with Store.open(path) as store, store.transaction() as connection:
-        (row,) = connection.execute(select(PlaceRow.__table__)).mappings()
-        old = _sum(PlaceRow.__table__, row, {"datum"})
+        (row,) = connection.execute(select(PLACES)).mappings()
+        old = _sum(PLACES, row, {"datum"})
     damage(path, f"UPDATE places SET row_sum = {old}")
     everything(path)
     damage(path, "UPDATE places SET alpha_deg = 3.5")

@@ -14,7 +14,7 @@ from fiberloom.assignment import Assignment
 from fiberloom.calibration.adaptive.calibration import AdaptiveCalibration
 from fiberloom.calibration.adaptive.learnt import origin, pack, unpack
 from fiberloom.calibration.fibres.offsets import FibreOffsets
-from fiberloom.calibration.focal_plane.arms_file import arms_measured_C, load_arms, load_arms_covariance
+from fiberloom.calibration.focal_plane.arms_file import ArmsFile
 from fiberloom.calibration.gravity.lead import led
 from fiberloom.calibration.gravity.sag import ArmSag
 from fiberloom.calibration.transmission.maps import TransmissionMaps
@@ -225,7 +225,8 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     the other files, and whether the observation learns. Raises InputError where a file is missing,
     cannot be read, or holds no positioner of the layout.
     """
-    host = plane if asked.arms is None else load_arms(asked.arms, plane)
+    arms = None if asked.arms is None else ArmsFile.read(asked.arms, plane)
+    host = plane if arms is None else arms.calibrated()
     files = {"transmission": maps_file} | ({} if asked.arms is None else {"focal-plane": Path(asked.arms)})
     fibres = None if asked.fibres is None else FibreOffsets.load(asked.fibres)
     if fibres is not None and asked.fibres is not None:
@@ -234,12 +235,12 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     gravity = None if asked.gravity is None else ArmSag.load(asked.gravity, plane)
     if asked.gravity is not None:
         files["gravity"] = Path(asked.gravity)
-    warmth = WarmArms.of(host, maps, _measured_C(plane, asked), plane.config_hash())
+    warmth = WarmArms.of(host, maps, _measured_C(plane, arms), plane.config_hash())
     if not (asked.adapt or asked.learnt):
         return Known(host, maps, files=files, fibres=fibres, gravity=gravity, warmth=warmth)
     if warmth is not None and asked.history is not None:
         warmth.learn(asked.history)
-    covariance = None if asked.arms is None else load_arms_covariance(asked.arms, plane)
+    covariance = None if arms is None else arms.covariance_mm2()
     learner = AdaptiveCalibration(host, maps, arms_covariance_mm2=covariance)
     store = Store.open(asked.learnt or maps_file.with_suffix(".learnt.sqlite"), create=asked.adapt)
     history = LearntHistory(store, origin(maps, learner))
@@ -253,9 +254,9 @@ def known_so_far(plane: FocalPlane, maps: TransmissionMaps, maps_file: Path, ask
     return replace(begin, fibres=fibres, gravity=gravity, warmth=warmth)
 
 
-def _measured_C(plane: FocalPlane, asked: Learning) -> float | None:
+def _measured_C(plane: FocalPlane, arms: ArmsFile | None) -> float | None:
     """Temperature at which the arms in use were measured: those of the file, or of the layout."""
-    if asked.arms is not None:
-        return arms_measured_C(asked.arms)
+    if arms is not None:
+        return arms.measured_C
     expansion = plane.instrument.expansion
     return None if expansion is None else expansion.measured_C

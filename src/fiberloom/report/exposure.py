@@ -13,7 +13,7 @@ from fiberloom.metrology.images import CameraImage
 from fiberloom.metrology.matching import MatchStatus
 from fiberloom.metrology.pipeline import Reduction
 from fiberloom.metrology.spots import Flag, Spots
-from fiberloom.report.figures import figure_with_room, number_points, save
+from fiberloom.report.figures import figure_with_room, number_points, save, set_title
 from fiberloom.timing import part
 from fiberloom.typing import Floats
 from fiberloom.units import UM_PER_MM
@@ -34,7 +34,8 @@ def plot_spots(path: Path, image: CameraImage, spots: Spots) -> None:
     flagged = (spots.flags & ~np.uint32(Flag.COSMIC)) != 0
     _ring(axes, spots.xy_px[~flagged], "deepskyblue")
     _ring(axes, spots.xy_px[flagged], "crimson", size=60)
-    axes.set(title=f"{len(spots)} spots, {int(flagged.sum())} flagged", xlabel="x [px]", ylabel="y [px]")
+    set_title(axes, f"{len(spots)} spots, {int(flagged.sum())} flagged")
+    axes.set(xlabel="x [px]", ylabel="y [px]")
     save(figure, path, 120)
 
 
@@ -96,7 +97,8 @@ def _plot_labels(path: Path, plane: FocalPlane, reduction: Reduction) -> None:
         f"{int(seen.sum())} of {len(plane)} fibres, {len(reduction.acquisition.fiducial)} fiducials "
         "(squares); orange dark, magenta ambiguous"
     )
-    axes.set(title=title, xlabel="x [px]", ylabel="y [px]")
+    set_title(axes, title)
+    axes.set(xlabel="x [px]", ylabel="y [px]")
     save(figure, path, 110)
 
 
@@ -126,7 +128,7 @@ def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm
     at = plane.fiducials[reduction.acquisition.fiducial, :2]
     loo_um = UM_PER_MM * fit.leave_one_out_mm
     _arrows(left, at, loo_um)
-    left.set_title(f"fiducials: {fit.rms_um:.2f} µm rms fitted, {fit.leave_one_out_rms_um:.2f} µm left out")
+    set_title(left, f"fiducials: {fit.rms_um:.2f} µm rms fitted, {fit.leave_one_out_rms_um:.2f} µm left out")
     wanted, words = (
         (reduction.expected_mm, "where the motors say") if goal_mm is None else (goal_mm, "target")
     )
@@ -134,9 +136,8 @@ def _plot_residuals(path: Path, plane: FocalPlane, reduction: Reduction, goal_mm
     near = rows & (np.hypot(*(reduction.xy_mm - wanted).T) < _FAR_MM)
     off_um = UM_PER_MM * (reduction.xy_mm - wanted)[near]
     _arrows(right, wanted[near], off_um)
-    right.set_title(
-        f"fibres: measured minus {words}, {_rms_text(off_um)}{_left_out(int((rows & ~near).sum()))}"
-    )
+    left_out = _left_out(int((rows & ~near).sum()))
+    set_title(right, f"fibres: measured minus {words}, {_rms_text(off_um)}{left_out}")
     save(figure, path, 110)
 
 
@@ -173,5 +174,6 @@ def _plot_distortion(path: Path, reduction: Reduction) -> None:
     bend = UM_PER_MM * reduction.transform.distortion_mm(grid[inside])
     figure, axes = figure_with_room((9, 8.5))
     _arrows(axes, at[inside], bend)
-    axes.set_title(f"distortion beyond shift, scale and rotation: {np.hypot(*bend.T).max():.0f} µm at most")
+    most_um = np.hypot(*bend.T).max()
+    set_title(axes, f"distortion beyond shift, scale and rotation: {most_um:.0f} µm at most")
     save(figure, path, 110)

@@ -59,6 +59,14 @@ def figure_with_room(size_in: tuple[float, float], columns: int = 1) -> tuple[Fi
     )
 
 
+def set_title(axes: Axes, text: str, **how: Any) -> None:
+    """A title right above the `axes`, which have nothing else there. `how`: as matplotlib's `set_title`.
+
+    Where its height is not told, matplotlib measures all that is written at the axes, to be clear of it.
+    """
+    axes.set_title(text, y=1.0, **how)
+
+
 @part("figures")
 def save(figure: Figure, path: Path, dpi: int = 120, **how: Any) -> None:
     """As an image, by the suffix of the path. `how`: as matplotlib's `savefig`.

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from matplotlib.ticker import NullFormatter
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.report.figures import figure_with_room, save
+from fiberloom.report.figures import figure_with_room, save, set_title
 from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats
 
@@ -51,14 +51,21 @@ def draw_focal_plane(axes: Axes, plane: FocalPlane, picture: FieldPicture) -> Ax
     beta_arms = np.stack([elbow, tip], axis=1)
     axes.add_collection(LineCollection(list(alpha_arms), colors="0.8", linewidths=1.0))
     axes.add_collection(LineCollection(list(beta_arms), colors="0.55", linewidths=1.6))
-    for x, y, radius in plane.fiducials:
-        axes.add_patch(Circle((x, y), radius, color="0.88", zorder=0))
+    _draw_discs(axes, plane.fiducials)
     for x0, y0, x1, y1, radius in plane.guide_cameras:
         axes.plot([x0, x1], [y0, y1], color="0.88", linewidth=4 * radius / 3, zorder=0)
     _draw_fibres(axes, plane, picture, tip)
-    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title=picture.title)
+    set_title(axes, picture.title)
+    axes.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     axes.autoscale_view()
     return axes
+
+
+def _draw_discs(axes: Axes, discs: Floats) -> None:
+    """Of centres and radii (n, 3) mm, as one artist: as patches the extent of each would be sought."""
+    width, level = 2.0 * discs[:, 2], np.zeros(len(discs))
+    how: dict[str, Any] = {"units": "xy", "offsets": discs[:, :2], "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(width, width, level, color="0.88", zorder=0, **how))
 
 
 def frame_positioners(axes: Axes, plane: FocalPlane) -> None:
@@ -115,7 +122,7 @@ def plot_errors(
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
-    axes.set_title(title, fontsize=10)
+    set_title(axes, title, fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(loc="lower right", fontsize=8)
     save(figure, path)

@@ -20,7 +20,7 @@ from sqlalchemy.exc import IntegrityError
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
 from fiberloom.store.process import host_name, is_alive, process_start
-from fiberloom.store.schema import ArrayStateRow, ExclusionRow, PlaceRow
+from fiberloom.store.schema import ARRAY_STATE, EXCLUSIONS, PLACES
 from fiberloom.store.sums import as_utc, change, checked, put
 from fiberloom.typing import Flags, Floats, Ints
 
@@ -127,7 +127,7 @@ class ArrayBook:
 
     def _state_row(self, connection: Connection) -> Mapping[Any, Any] | None:
         # of all arrays: a row whose address has changed by itself would not be found by it
-        rows = checked(connection, ArrayStateRow)
+        rows = checked(connection, ARRAY_STATE)
         return next((row for row in rows if row["address"] == self.address), None)
 
     def take(self, command: str, state: str) -> tuple[str, ArrayState]:
@@ -164,14 +164,14 @@ class ArrayBook:
             "stop_asked_by": "",
         }
         with self.store.transaction() as connection:
-            if change(connection, ArrayStateRow, self._owned_by(old), values):
+            if change(connection, ARRAY_STATE, self._owned_by(old), values):
                 return True
             if old or self._state_row(connection) is not None:
                 return False
             return _inserted(connection, {"address": self.address, **values})
 
     def _owned_by(self, token: str) -> ColumnElement[bool]:
-        return (ArrayStateRow.address == self.address) & (ArrayStateRow.token == token)
+        return (ARRAY_STATE.c.address == self.address) & (ARRAY_STATE.c.token == token)
 
     def enter(self, token: str, state: str, text: str = "") -> None:
         """The owner says what the array is doing, and why. NotOwner where it lost it meanwhile."""
@@ -181,7 +181,7 @@ class ArrayBook:
         """The owner gives it back in a state, with the reason; nothing where it lost it meanwhile."""
         values = {"state": state, "since": datetime.now(UTC), "text": text, "token": "", "stop_asked_by": ""}
         with self.store.transaction() as connection:
-            change(connection, ArrayStateRow, self._owned_by(token), values)
+            change(connection, ARRAY_STATE, self._owned_by(token), values)
 
     def beat(self, token: str) -> None:
         """A sign of life of the owner. NotOwner where it lost the array meanwhile."""
@@ -189,22 +189,22 @@ class ArrayBook:
 
     def _as_owner(self, token: str, values: Mapping[str, Any]) -> None:
         with self.store.transaction() as connection:
-            if not change(connection, ArrayStateRow, self._owned_by(token), values):
+            if not change(connection, ARRAY_STATE, self._owned_by(token), values):
                 raise NotOwner(f"{self.address}: another process owns it by now; nothing more is moved")
 
     def ask_stop(self, who: str) -> bool:
         """Asks the owner to stop everything; False where there is none."""
-        owned = (ArrayStateRow.address == self.address) & (ArrayStateRow.token != "")
+        owned = (ARRAY_STATE.c.address == self.address) & (ARRAY_STATE.c.token != "")
         with self.store.transaction() as connection:
-            return bool(change(connection, ArrayStateRow, owned, {"stop_asked_by": who}))
+            return bool(change(connection, ARRAY_STATE, owned, {"stop_asked_by": who}))
 
     def note_stopped(self, text: str, state: str) -> None:
         """A process that does not own the array has stopped it: none is owner any more."""
         values = {"state": state, "since": datetime.now(UTC), "text": text, "token": "", "stop_asked_by": ""}
         with self.store.transaction() as connection:
-            if not change(connection, ArrayStateRow, ArrayStateRow.address == self.address, values):
+            if not change(connection, ARRAY_STATE, ARRAY_STATE.c.address == self.address, values):
                 empty = {"command": "", "host": "", "pid": 0, "process_start": "", "heartbeat": None}
-                put(connection, ArrayStateRow, [{"address": self.address, **values, **empty}])
+                put(connection, ARRAY_STATE, [{"address": self.address, **values, **empty}])
 
     # exclusions
 
@@ -229,7 +229,7 @@ class ArrayBook:
         rows = [{**common, "positioner_id": int(p)} for p in positioner_id if int(p) not in there]
         if rows:
             with self.store.transaction() as connection:
-                put(connection, ExclusionRow, rows)
+                put(connection, EXCLUSIONS, rows)
 
     def clear(self, positioner_id: Iterable[int], who: str) -> list[int]:
         """Ends exclusions; the positioners that were excluded. InputError where one was not."""
@@ -238,18 +238,18 @@ class ArrayBook:
         if missing := [p for p in wanted if p not in there]:
             raise InputError(f"positioner {missing[0]} is not excluded; `fiberloom exclude list`")
         open_ = (
-            (ExclusionRow.address == self.address)
-            & ExclusionRow.positioner_id.in_(wanted)
-            & ExclusionRow.cleared.is_(None)
+            (EXCLUSIONS.c.address == self.address)
+            & EXCLUSIONS.c.positioner_id.in_(wanted)
+            & EXCLUSIONS.c.cleared.is_(None)
         )
         with self.store.transaction() as connection:
-            change(connection, ExclusionRow, open_, {"cleared": datetime.now(UTC), "cleared_by": who})
+            change(connection, EXCLUSIONS, open_, {"cleared": datetime.now(UTC), "cleared_by": who})
         return wanted
 
     def exclusions(self, *, past: bool = False) -> list[Exclusion]:
         """Those in force now, by positioner; with `past` also those that have ended."""
         with self.store.transaction() as connection:
-            rows = checked(connection, ExclusionRow)  # of all arrays, as of their states
+            rows = checked(connection, EXCLUSIONS)  # of all arrays, as of their states
         known = [_exclusion_of(row) for row in rows if row["address"] == self.address]
         now = datetime.now(UTC)
         chosen = [e for e in known if past or e.in_force(now)]
@@ -270,16 +270,16 @@ class ArrayBook:
         with self.store.transaction() as connection:
             ids = [row["positioner_id"] for row in rows]
             connection.execute(
-                delete(PlaceRow).where(PlaceRow.address == self.address, PlaceRow.positioner_id.in_(ids))
+                delete(PLACES).where(PLACES.c.address == self.address, PLACES.c.positioner_id.in_(ids))
             )
-            put(connection, PlaceRow, rows)
+            put(connection, PLACES, rows)
 
     def forget_datum(self, positioner_id: Ints) -> None:
         """The datum of these is not known any more; where they were last stays on record."""
-        asked = PlaceRow.positioner_id.in_([int(p) for p in positioner_id])
-        these = (PlaceRow.address == self.address) & PlaceRow.datum.is_(True) & asked
+        asked = PLACES.c.positioner_id.in_([int(p) for p in positioner_id])
+        these = (PLACES.c.address == self.address) & PLACES.c.datum.is_(True) & asked
         with self.store.transaction() as connection:
-            change(connection, PlaceRow, these, {"datum": False})
+            change(connection, PLACES, these, {"datum": False})
 
     def _place_row(self, positioner: int, places: ArrayPlaces, row: int, now: datetime) -> dict[str, Any]:
         wire = [float(v) if np.isfinite(v) else None for v in places.wire_deg[row]]
@@ -297,7 +297,7 @@ class ArrayBook:
 
     def known_positioners(self) -> Ints:
         """Numbers of all that have a place on record, sorted."""
-        query = select(PlaceRow.positioner_id).where(PlaceRow.address == self.address)
+        query = select(PLACES.c.positioner_id).where(PLACES.c.address == self.address)
         with self.store.transaction() as connection:
             return np.array(sorted(connection.execute(query).scalars()), dtype=np.int64)
 
@@ -306,7 +306,7 @@ class ArrayBook:
         n = len(positioner_id)
         with self.store.transaction() as connection:
             # all of them: a row whose address has changed by itself would not be found by it
-            found = checked(connection, PlaceRow)
+            found = checked(connection, PLACES)
         rows = {row["positioner_id"]: row for row in found if row["address"] == self.address}
         angles, wire = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
         how, datum = [UNKNOWN] * n, np.zeros(n, dtype=bool)
@@ -324,7 +324,7 @@ class ArrayBook:
 def _inserted(connection: Connection, values: Mapping[str, Any]) -> bool:
     try:
         with connection.begin_nested():
-            put(connection, ArrayStateRow, [values])
+            put(connection, ARRAY_STATE, [values])
     except IntegrityError:  # another process was quicker
         return False
     return True
@@ -347,6 +347,6 @@ def arrays_of(store: Store) -> list[str]:
     """Addresses of the arrays that a store knows."""
     with store.transaction() as connection:
         found: set[str] = set()
-        for table in (ArrayStateRow, PlaceRow, ExclusionRow):
-            found |= set(connection.execute(select(table.address).distinct()).scalars())
+        for table in (ARRAY_STATE, PLACES, EXCLUSIONS):
+            found |= set(connection.execute(select(table.c.address).distinct()).scalars())
     return sorted(found)

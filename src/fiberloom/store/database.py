@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Engine, func, insert, inspect, select
+from sqlalchemy import Connection, Engine, Table, func, insert, inspect, select
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError, SQLAlchemyError
 
 from fiberloom.errors import InputError, one_line
@@ -21,17 +21,18 @@ from fiberloom.store.parts import RunPart, unpack
 from fiberloom.store.place import BESIDE
 from fiberloom.store.run import Run, RunInfo, info_of, new_run_values
 from fiberloom.store.schema import (
+    CALIBRATIONS,
+    EVENTS,
+    MEASUREMENTS,
+    MOVES,
+    PARTS,
+    RUNS,
+    SCHEMA,
     SCHEMA_VERSION,
-    Base,
-    CalibrationRow,
-    EventRow,
-    MeasurementRow,
-    MoveRow,
-    PartRow,
-    RunRow,
-    SchemaRow,
+    SUM,
+    TABLES,
 )
-from fiberloom.store.sums import SUM, DamagedError, change, checked, put_one
+from fiberloom.store.sums import DamagedError, change, checked, put_one
 from fiberloom.typing import Array
 
 Columns = dict[str, Array]
@@ -141,8 +142,8 @@ class Store:
         """
         values = new_run_values(command_line, instrument, config_hash, seed, note)
         with self.transaction() as connection:
-            run_id = put_one(connection, RunRow, values)
-            change(connection, RunRow, RunRow.id == run_id, {"folder": folder.format(run=run_id)})
+            run_id = put_one(connection, RUNS, values)
+            change(connection, RUNS, RUNS.c.id == run_id, {"folder": folder.format(run=run_id)})
         return Run(self.transaction, run_id)
 
     def runs(self, recorded_as: str | None = None) -> list[RunInfo]:
@@ -151,12 +152,12 @@ class Store:
         One whose process is gone shows as interrupted.
         """
         # 0: where it began, and where each was left
-        of_run = (MoveRow.run_id == RunRow.id) & (MoveRow.number > 0)
+        of_run = (MOVES.c.run_id == RUNS.c.id) & (MOVES.c.number > 0)
         moves = select(func.count()).where(of_run).scalar_subquery()
-        measured = select(func.count()).where(MeasurementRow.run_id == RunRow.id).scalar_subquery()
-        query = select(RunRow.id, moves.label("n_moves"), measured.label("n_measurements"))
+        measured = select(func.count()).where(MEASUREMENTS.c.run_id == RUNS.c.id).scalar_subquery()
+        query = select(RUNS.c.id, moves.label("n_moves"), measured.label("n_measurements"))
         with self.transaction() as connection:
-            rows = checked(connection, RunRow)
+            rows = checked(connection, RUNS)
             counts = {row["id"]: row for row in connection.execute(query).mappings()}
             chosen = [row for row in rows if recorded_as in (None, row["status"])]
             return [info_of({**row, **counts[row["id"]]}) for row in chosen]
@@ -164,17 +165,17 @@ class Store:
     def last_run(self) -> Run:
         """The run that began last, to record more of it."""
         with self.transaction() as connection:
-            run_id = connection.execute(select(func.max(RunRow.id))).scalar()
+            run_id = connection.execute(select(func.max(RUNS.c.id))).scalar()
         if run_id is None:
             raise InputError(f"{self.name}: no run in it")
         return Run(self.transaction, run_id)
 
     def calibrated(self, run_id: int) -> dict[str, int]:
         """Positioners by kind of calibration that a run made or used."""
-        count = func.count(CalibrationRow.positioner_id.distinct())
-        query = select(CalibrationRow.kind, count).where(CalibrationRow.run_id == run_id)
+        count = func.count(CALIBRATIONS.c.positioner_id.distinct())
+        query = select(CALIBRATIONS.c.kind, count).where(CALIBRATIONS.c.run_id == run_id)
         with self.transaction() as connection:
-            return {str(kind): int(n) for kind, n in connection.execute(query.group_by(CalibrationRow.kind))}
+            return {str(kind): int(n) for kind, n in connection.execute(query.group_by(CALIBRATIONS.c.kind))}
 
     def measurements(self, run_id: int) -> Columns:
         """Columns of a run's measurements in the order in which they were made.
@@ -182,47 +183,46 @@ class Store:
         `move` and `kind` are those of the move; numbers that are not known are NaN, texts empty.
         """
         with self._run(run_id) as connection:
-            moves = {row["id"]: row for row in _rows_of(connection, MoveRow, run_id)}
-            rows = _rows_of(connection, MeasurementRow, run_id)
+            moves = {row["id"]: row for row in _rows_of(connection, MOVES, run_id)}
+            rows = _rows_of(connection, MEASUREMENTS, run_id)
             _check_complete(moves, rows)
             of = [moves[row["move_id"]] for row in rows]
             head = {name: _column([move[key] for move in of]) for name, key in _OF_MOVE.items()}
-            return head | _columns(MeasurementRow, rows)
+            return head | _columns(MEASUREMENTS, rows)
 
     def moves(self, run_id: int) -> Columns:
         """Columns of a run's moves."""
-        return self._table(run_id, MoveRow)
+        return self._table(run_id, MOVES)
 
     def events(self, run_id: int) -> Columns:
         """Columns of a run's events."""
-        return self._table(run_id, EventRow)
+        return self._table(run_id, EVENTS)
 
     def calibrations(self, run_id: int) -> Columns:
         """Columns of the calibrations that a run made or used."""
-        return self._table(run_id, CalibrationRow)
+        return self._table(run_id, CALIBRATIONS)
 
     def parts(self, run_id: int) -> tuple[dict[str, RunPart], dict[int, RunPart]]:
         """What else the result files of a run need: of the whole run by name, of its moves by their id."""
         with self._run(run_id) as connection:
-            rows = _rows_of(connection, PartRow, run_id)
+            rows = _rows_of(connection, PARTS, run_id)
         whole = {row["name"]: unpack(row["data"]) for row in rows if row["move_id"] is None}
         return whole, {row["move_id"]: unpack(row["data"]) for row in rows if row["move_id"] is not None}
 
     def parts_named(self, name: str) -> dict[int, RunPart]:
         """The parts of whole runs that have a name, by the run's number."""
-        table = PartRow.__table__
         with self.transaction() as connection:
-            rows = checked(connection, PartRow, (table.c.name == name) & table.c.move_id.is_(None))
+            rows = checked(connection, PARTS, (PARTS.c.name == name) & PARTS.c.move_id.is_(None))
         return {row["run_id"]: unpack(row["data"]) for row in rows}
 
-    def _table(self, run_id: int, table: type[Base]) -> Columns:
+    def _table(self, run_id: int, table: Table) -> Columns:
         with self._run(run_id) as connection:
             return _columns(table, _rows_of(connection, table, run_id))
 
     @contextmanager
     def _run(self, run_id: int) -> Iterator[Connection]:
         with self.transaction() as connection:
-            if connection.execute(select(RunRow.id).where(RunRow.id == run_id)).first() is None:
+            if connection.execute(select(RUNS.c.id).where(RUNS.c.id == run_id)).first() is None:
                 raise InputError(f"{self.name}: no run {run_id}; 'fiberloom runs' lists them")
             yield connection
 
@@ -231,9 +231,9 @@ _OF_MOVE = {"move": "number", "kind": "kind"}
 """Columns of measurements that are those of the move."""
 
 
-def _rows_of(connection: Connection, table: type[Base], run_id: int) -> Sequence[Mapping[Any, Any]]:
+def _rows_of(connection: Connection, table: Table, run_id: int) -> Sequence[Mapping[Any, Any]]:
     """All rows of a run, compared with their sums."""
-    return checked(connection, table, table.__table__.columns.run_id == run_id)
+    return checked(connection, table, table.c.run_id == run_id)
 
 
 def _check_complete(moves: Mapping[int, Mapping[Any, Any]], rows: Sequence[Mapping[Any, Any]]) -> None:
@@ -246,8 +246,8 @@ def _check_complete(moves: Mapping[int, Mapping[Any, Any]], rows: Sequence[Mappi
             raise DamagedError(f"move {number} has {there[number]} measurements of {move['n_measured']}")
 
 
-def _columns(table: type[Base], rows: Sequence[Mapping[Any, Any]]) -> Columns:
-    names = [c.name for c in table.__table__.columns if c.name not in (SUM, "n_measured")]
+def _columns(table: Table, rows: Sequence[Mapping[Any, Any]]) -> Columns:
+    names = [c.name for c in table.columns if c.name not in (SUM, "n_measured")]
     return {name: _column([row[name] for row in rows]) for name in names}
 
 
@@ -263,11 +263,11 @@ def _column(values: list[Any]) -> Array:
 
 def _prepare(connection: Connection, name: str) -> None:
     """Makes the tables of a new store; refuses those of another version."""
-    Base.metadata.create_all(connection, tables=[Base.metadata.tables[SchemaRow.__tablename__]])
-    found = connection.execute(select(SchemaRow.version)).scalar()
+    TABLES.create_all(connection, tables=[SCHEMA])
+    found = connection.execute(select(SCHEMA.c.version)).scalar()
     if found is None:
-        Base.metadata.create_all(connection)
-        connection.execute(insert(SchemaRow), {"version": SCHEMA_VERSION})
+        TABLES.create_all(connection)
+        connection.execute(insert(SCHEMA), {"version": SCHEMA_VERSION})
     else:
         _check_version(found, name)
         if found < SCHEMA_VERSION:
@@ -279,9 +279,9 @@ def _prepare(connection: Connection, name: str) -> None:
 
 def _look(connection: Connection, name: str) -> None:
     """Refuses what is no store, or one of a newer version; writes nothing."""
-    if not inspect(connection).has_table(SchemaRow.__tablename__):
+    if not inspect(connection).has_table(SCHEMA.name):
         raise InputError(f"store '{name}': has no tables of fiberloom; name the store of an earlier run")
-    _check_version(connection.execute(select(SchemaRow.version)).scalar() or 0, name)
+    _check_version(connection.execute(select(SCHEMA.c.version)).scalar() or 0, name)
 
 
 def _check_version(found: int, name: str) -> None:

@@ -17,7 +17,7 @@ from sqlalchemy import URL, Engine, create_engine, event
 from sqlalchemy.exc import ArgumentError
 
 from fiberloom.errors import InputError
-from fiberloom.store.schema import Base
+from fiberloom.store.schema import TABLES
 
 _SQLITE = "sqlite"
 _BUSY_MS = 10_000
@@ -119,7 +119,7 @@ def _as_of_now(connection: sqlite3.Connection) -> None:
     """Shows the tables of an older version with the columns of this one, in memory alone."""
     connection.execute("PRAGMA temp_store=MEMORY")
     names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    for table in Base.metadata.sorted_tables if names else ():
+    for table in TABLES.sorted_tables if names else ():
         there = {row[1] for row in connection.execute(f"PRAGMA main.table_info({table.name})")}
         names_of = [column.name for column in table.columns]
         if there.issuperset(names_of):

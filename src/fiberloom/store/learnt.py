@@ -15,7 +15,7 @@ from sqlalchemy import Connection, delete, func, select
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
-from fiberloom.store.schema import GenerationRow, LearntRow
+from fiberloom.store.schema import GENERATIONS, LEARNT
 from fiberloom.store.sums import as_utc, check, checked, put, put_one
 from fiberloom.version import __version__
 
@@ -73,7 +73,7 @@ class LearntHistory:
             "note": note,
         }
         with self._store.transaction() as connection:
-            return put_one(connection, GenerationRow, values)
+            return put_one(connection, GENERATIONS, values)
 
     def put(self, generation: int, states: Mapping[int, Learnt]) -> None:
         """States of positioners in a generation, in place of those that it had of them."""
@@ -87,7 +87,7 @@ class LearntHistory:
 
     def of_generation(self, generation: int) -> dict[int, Learnt]:
         """The states that one generation changed."""
-        query = select(LearntRow.__table__).where(LearntRow.generation_id == generation)
+        query = select(LEARNT).where(LEARNT.c.generation_id == generation)
         with self._store.transaction() as connection:
             return _states(connection.execute(query).mappings().all())
 
@@ -111,34 +111,33 @@ class LearntHistory:
         nothing = Learnt(0, 0.0, None)
         states = {p: then.get(p, nothing) for p in sorted(wanted)}
         with self._store.transaction() as connection:
-            mine = [row for row in checked(connection, GenerationRow) if row["origin"] == self.origin]
+            mine = [row for row in checked(connection, GENERATIONS) if row["origin"] == self.origin]
             if not mine:
                 raise InputError(f"{self._store.name}: nothing was learnt yet")
             values = {k: mine[-1][k] for k in ("origin", "instrument", "config_hash", "seed")}
             values |= {"utc": datetime.now(UTC), "kind": UNDO, "version": __version__}
             values["note"] = f"{len(states)} positioners back to generation {to}"
-            made = put_one(connection, GenerationRow, values)
+            made = put_one(connection, GENERATIONS, values)
             _put(connection, made, states)
         return made
 
 
 def generations(store: Store) -> list[Generation]:
     """All generations of a store, of whatever calibration, oldest first."""
-    table = GenerationRow.__table__
-    columns = [table.c[k] for k in ("id", "utc", "origin", "kind", "note", "seed", "version")]
+    columns = [GENERATIONS.c[k] for k in ("id", "utc", "origin", "kind", "note", "seed", "version")]
     counted = [
-        func.count(LearntRow.id).label("n_positioners"),
-        func.coalesce(func.max(LearntRow.moves), 0).label("moves"),
-        func.coalesce(func.avg(LearntRow.shift_mdeg * LearntRow.shift_mdeg), 0.0).label("square"),
+        func.count(LEARNT.c.id).label("n_positioners"),
+        func.coalesce(func.max(LEARNT.c.moves), 0).label("moves"),
+        func.coalesce(func.avg(LEARNT.c.shift_mdeg * LEARNT.c.shift_mdeg), 0.0).label("square"),
     ]
     query = (
         select(*columns, *counted)
-        .join(LearntRow, LearntRow.generation_id == GenerationRow.id, isouter=True)
+        .join(LEARNT, LEARNT.c.generation_id == GENERATIONS.c.id, isouter=True)
         .group_by(*columns)
-        .order_by(GenerationRow.id)
+        .order_by(GENERATIONS.c.id)
     )
     with store.transaction() as connection:
-        checked(connection, GenerationRow)
+        checked(connection, GENERATIONS)
         rows = [dict(row) for row in connection.execute(query).mappings()]
     return [_generation(row) for row in rows]
 
@@ -150,10 +149,10 @@ def _generation(row: dict[str, Any]) -> Generation:
 
 
 def _put(connection: Connection, generation: int, states: Mapping[int, Learnt]) -> None:
-    of_generation = LearntRow.generation_id == generation
+    of_generation = LEARNT.c.generation_id == generation
     ids = list(states)
     for part in (ids[k : k + 500] for k in range(0, len(ids), 500)):  # databases limit their lists
-        connection.execute(delete(LearntRow).where(of_generation, LearntRow.positioner_id.in_(part)))
+        connection.execute(delete(LEARNT).where(of_generation, LEARNT.c.positioner_id.in_(part)))
     rows = [
         {
             "generation_id": generation,
@@ -164,27 +163,27 @@ def _put(connection: Connection, generation: int, states: Mapping[int, Learnt]) 
         }
         for p, state in states.items()
     ]
-    put(connection, LearntRow, rows)
+    put(connection, LEARNT, rows)
 
 
 def _as_of(connection: Connection, origin: str, upto: int | None) -> dict[int, Learnt]:
-    checked(connection, GenerationRow)  # one whose origin has changed by itself would be left out
+    checked(connection, GENERATIONS)  # one whose origin has changed by itself would be left out
     newest = (
-        select(LearntRow.positioner_id, func.max(LearntRow.generation_id).label("generation"))
-        .join(GenerationRow, GenerationRow.id == LearntRow.generation_id)
-        .where(GenerationRow.origin == origin)
-        .group_by(LearntRow.positioner_id)
+        select(LEARNT.c.positioner_id, func.max(LEARNT.c.generation_id).label("generation"))
+        .join(GENERATIONS, GENERATIONS.c.id == LEARNT.c.generation_id)
+        .where(GENERATIONS.c.origin == origin)
+        .group_by(LEARNT.c.positioner_id)
     )
     if upto is not None:
-        newest = newest.where(LearntRow.generation_id <= upto)
+        newest = newest.where(LEARNT.c.generation_id <= upto)
     last = newest.subquery()
-    query = select(LearntRow.__table__).join(
+    query = select(LEARNT).join(
         last,
-        (last.c.positioner_id == LearntRow.positioner_id) & (last.c.generation == LearntRow.generation_id),
+        (last.c.positioner_id == LEARNT.c.positioner_id) & (last.c.generation == LEARNT.c.generation_id),
     )
     return _states(connection.execute(query).mappings().all())
 
 
 def _states(rows: Sequence[Mapping[Any, Any]]) -> dict[int, Learnt]:
-    check(LearntRow, rows)
+    check(LEARNT, rows)
     return {row["positioner_id"]: Learnt(row["moves"], row["shift_mdeg"], row["data"]) for row in rows}

@@ -16,16 +16,14 @@ from sqlalchemy import Connection
 
 from fiberloom.errors import InputError
 from fiberloom.store.process import host_name, is_alive, process_start
-from fiberloom.store.schema import CalibrationRow, EventRow, MeasurementRow, MoveRow, PartRow, RunRow
-from fiberloom.store.sums import SUM, DamagedError, as_utc, change, put, put_one
+from fiberloom.store.schema import CALIBRATIONS, EVENTS, MEASUREMENTS, MOVES, PARTS, RUNS, SUM
+from fiberloom.store.sums import DamagedError, as_utc, change, put, put_one
 from fiberloom.timing import part
 from fiberloom.version import __version__
 
 RUNNING, FINISHED, FAILED, INTERRUPTED = "running", "finished", "failed", "interrupted"
 
-MEASURED = frozenset(
-    c.name for c in MeasurementRow.__table__.columns if c.name not in ("id", "run_id", "move_id", SUM)
-)
+MEASURED = frozenset(c.name for c in MEASUREMENTS.columns if c.name not in ("id", "run_id", "move_id", SUM))
 """What can be recorded of a positioner after a move."""
 
 Transaction = Callable[[], AbstractContextManager[Connection]]
@@ -137,7 +135,7 @@ class Run:
         if note:
             values["note"] = note
         with self._transaction() as connection:
-            change(connection, RunRow, RunRow.id == self.id, values)
+            change(connection, RUNS, RUNS.c.id == self.id, values)
 
     @part("store")
     def record_move(
@@ -168,11 +166,11 @@ class Run:
             "n_measured": len(rows),
         }
         with self._transaction() as connection:
-            move_id = put_one(connection, MoveRow, move)
-            put(connection, MeasurementRow, [{**row, "move_id": move_id} for row in rows])
+            move_id = put_one(connection, MOVES, move)
+            put(connection, MEASUREMENTS, [{**row, "move_id": move_id} for row in rows])
             if part is not None:
                 values = {"run_id": self.id, "move_id": move_id, "name": OF_MOVE, "data": part}
-                put(connection, PartRow, [values])
+                put(connection, PARTS, [values])
         return move_id
 
     @part("store")
@@ -181,7 +179,7 @@ class Run:
         `name` the later counts.
         """
         with self._transaction() as connection:
-            put(connection, PartRow, [{"run_id": self.id, "name": name, "data": data}])
+            put(connection, PARTS, [{"run_id": self.id, "name": name, "data": data}])
 
     @part("store")
     def record_event(
@@ -204,7 +202,7 @@ class Run:
             "text": text,
         }
         with self._transaction() as connection:
-            put(connection, EventRow, [values])
+            put(connection, EVENTS, [values])
 
     @part("store")
     def record_calibration(
@@ -219,7 +217,7 @@ class Run:
         rows = [{**common, "utc": datetime.now(UTC), "positioner_id": int(p)} for p in positioner_id]
         if rows:
             with self._transaction() as connection:
-                put(connection, CalibrationRow, rows)
+                put(connection, CALIBRATIONS, rows)
 
 
 def _rows(measured: Mapping[str, Any], common: dict[str, Any]) -> list[dict[str, Any]]:

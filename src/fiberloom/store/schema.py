@@ -5,11 +5,22 @@ NULL is "not known": a fibre that was not seen has no place, a parked positioner
 
 from __future__ import annotations
 
-from datetime import datetime
-from typing import Any, ClassVar
+from typing import Any
 
-from sqlalchemy import BigInteger, DateTime, Double, ForeignKey, Index, LargeBinary, MetaData
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    DateTime,
+    Double,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+)
 
 SCHEMA_VERSION = 6
 """2: what was learnt of the maps in operation. 3: arrays: exclusions, state and owner, places. 4: sums of
@@ -17,339 +28,314 @@ rows. 5: sums also of rows that change, the folder of a run, and what its files 
 commands and alarms of arrays. The steps from one to the next are in `upkeep/revisions`. Rows of before
 version 5 have no sums until they change."""
 
-
-class Base(DeclarativeBase):
-    """Common metadata of all tables."""
-
-    metadata = MetaData()
-    type_annotation_map: ClassVar[dict[Any, Any]] = {float: Double()}  # one type with every SQLAlchemy
-
-
-class Summed:
-    """Rows with a sum over all else, so that a flipped bit is found on reading."""
-
-    row_sum: Mapped[int | None] = mapped_column(BigInteger)  # none: of an older version
+TABLES = MetaData()
+"""All of them."""
+SUM = "row_sum"
+"""Column of the sum over all else in a row, so that a flipped bit is found on reading."""
+_TIME = DateTime(timezone=True)
 
 
-class SchemaRow(Base):
-    """One row: the version of the tables."""
-
-    __tablename__ = "fiberloom_schema"
-
-    version: Mapped[int] = mapped_column(primary_key=True)
+def _given(name: str, kind: Any, *more: Any, **how: Any) -> Column[Any]:
+    """A column that every row has."""
+    return Column(name, kind, *more, nullable=False, **how)
 
 
-class RunRow(Summed, Base):
-    """One command that moved or measured something."""
+def _maybe(name: str, kind: Any, *more: Any, **how: Any) -> Column[Any]:
+    """A column that may be NULL."""
+    return Column(name, kind, *more, nullable=True, **how)
 
-    __tablename__ = "runs"
 
-    id: Mapped[int] = mapped_column(primary_key=True)
-    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    command_line: Mapped[str]
-    instrument: Mapped[str]
-    config_hash: Mapped[str]
-    seed: Mapped[int | None]
-    version: Mapped[str]
-    status: Mapped[str]  # running, finished, failed, interrupted
-    note: Mapped[str]
+def _number() -> Column[Any]:
+    """The database's own number of a row."""
+    return _given("id", Integer, primary_key=True)
+
+
+def _summed(name: str, *columns: Any) -> Table:
+    """A table whose rows have a sum; none: of an older version."""
+    return Table(name, TABLES, *columns, _maybe(SUM, BigInteger))
+
+
+SCHEMA = Table(
+    "fiberloom_schema",
+    TABLES,
+    _given("version", Integer, primary_key=True),
+)
+"""One row: the version of the tables."""
+
+RUNS = _summed(
+    "runs",
+    _number(),
+    _given("utc_start", _TIME),
+    _maybe("utc_end", _TIME),
+    _given("command_line", String),
+    _given("instrument", String),
+    _given("config_hash", String),
+    _maybe("seed", Integer),
+    _given("version", String),
+    _given("status", String),  # running, finished, failed, interrupted
+    _given("note", String),
     # who is running: tells a run that goes on from one whose process was killed
-    host: Mapped[str]
-    pid: Mapped[int]
-    process_start: Mapped[str]
-    folder: Mapped[str | None]  # of its files, from that of the store; none: of an older version
+    _given("host", String),
+    _given("pid", Integer),
+    _given("process_start", String),
+    _maybe("folder", String),  # of its files, from that of the store; none: of an older version
+)
+"""One command that moved or measured something."""
 
+MOVES = _summed(
+    "moves",
+    _number(),
+    _given("run_id", Integer, ForeignKey("runs.id"), index=True),
+    _given("number", Integer),
+    _given("kind", String),
+    _given("utc", _TIME),
+    _maybe("time_s", Double),  # of the twin or bus
+    _given("plan_digest", String),
+    _maybe("n_measured", Integer),  # measurements that belong to it; none: written before version 4
+)
+"""One move of the whole field."""
 
-class MoveRow(Summed, Base):
-    """One move of the whole field."""
+MEASUREMENTS = _summed(
+    "measurements",
+    _number(),
+    _given("run_id", Integer, ForeignKey("runs.id")),
+    _given("move_id", Integer, ForeignKey("moves.id"), index=True),
+    _given("positioner_id", Integer),
+    _maybe("x_mm", Double),
+    _maybe("y_mm", Double),
+    _given("seen", Boolean),
+    _maybe("alpha_deg", Double),  # commanded
+    _maybe("beta_deg", Double),
+    _maybe("wire_alpha_deg", Double),
+    _maybe("wire_beta_deg", Double),
+    _maybe("target_id", String),
+    _maybe("x_target_mm", Double),
+    _maybe("y_target_mm", Double),
+    _maybe("error_um", Double),
+    _maybe("status", String),
+    Index("measurements_of_positioner", "run_id", "positioner_id"),
+)
+"""One positioner after one move."""
 
-    __tablename__ = "moves"
+CALIBRATIONS = _summed(
+    "calibrations",
+    _number(),
+    _given("run_id", Integer, ForeignKey("runs.id"), index=True),
+    _given("positioner_id", Integer),
+    _given("axis", String),
+    _given("kind", String),
+    _given("file", String),
+    _given("hash", String),
+    _given("utc", _TIME),
+)
+"""Which calibration of a positioner's axis a run made or used."""
 
-    id: Mapped[int] = mapped_column(primary_key=True)
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
-    number: Mapped[int]
-    kind: Mapped[str]
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    time_s: Mapped[float | None]  # of the twin or bus
-    plan_digest: Mapped[str]
-    n_measured: Mapped[int | None]  # measurements that belong to it; none: written before version 4
+EVENTS = _summed(
+    "events",
+    _number(),
+    _given("run_id", Integer, ForeignKey("runs.id"), index=True),
+    _given("utc", _TIME),
+    _maybe("time_s", Double),
+    _maybe("positioner_id", Integer),
+    _given("kind", String),
+    _given("text", String),
+)
+"""Something an operator wants to know later: a collision, a flag, a remark."""
 
+PARTS = _summed(
+    "parts",
+    _number(),
+    _given("run_id", Integer, ForeignKey("runs.id"), index=True),
+    _maybe("move_id", Integer, ForeignKey("moves.id")),  # none: of the whole run
+    _given("name", String),
+    _given("data", LargeBinary),  # as `store.parts` packs it
+)
+"""One of the things that the result files of a run are made of, beside moves and measurements."""
 
-class MeasurementRow(Summed, Base):
-    """One positioner after one move."""
+GENERATIONS = _summed(
+    "learnt_generations",
+    _number(),
+    _given("utc", _TIME),
+    _given("origin", String, index=True),  # digest of the calibration that it builds on
+    _given("kind", String),  # observe, undo
+    _given("instrument", String),
+    _given("config_hash", String),
+    _maybe("seed", Integer),
+    _given("version", String),
+    _given("note", String),
+)
+"""One step of learning: an observation that taught something, or a step back."""
 
-    __tablename__ = "measurements"
+LEARNT = _summed(
+    "learnt_states",
+    _number(),
+    _given("generation_id", Integer, ForeignKey("learnt_generations.id")),
+    _given("positioner_id", Integer),
+    _given("moves", Integer),  # learnt from since the calibration
+    _given("shift_mdeg", Double),  # rms change of both maps by this generation
+    _maybe("data", LargeBinary),  # none: the calibration itself
+    Index("learnt_of_positioner", "generation_id", "positioner_id", unique=True),
+)
+"""What is known of one positioner since a generation; earlier rows stay."""
 
-    id: Mapped[int] = mapped_column(primary_key=True)
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"))
-    move_id: Mapped[int] = mapped_column(ForeignKey("moves.id"), index=True)
-    positioner_id: Mapped[int]
-    x_mm: Mapped[float | None]
-    y_mm: Mapped[float | None]
-    seen: Mapped[bool]
-    alpha_deg: Mapped[float | None]  # commanded
-    beta_deg: Mapped[float | None]
-    wire_alpha_deg: Mapped[float | None]
-    wire_beta_deg: Mapped[float | None]
-    target_id: Mapped[str | None]
-    x_target_mm: Mapped[float | None]
-    y_target_mm: Mapped[float | None]
-    error_um: Mapped[float | None]
-    status: Mapped[str | None]
+EXCLUSIONS = _summed(
+    "exclusions",
+    _number(),
+    _given("address", String, index=True),  # of the array: that of its bus
+    _given("positioner_id", Integer),
+    _given("since", _TIME),
+    _maybe("until", _TIME),  # none: until it is cleared
+    _given("who", String),
+    _given("why", String),
+    _maybe("cleared", _TIME),
+    _given("cleared_by", String),
+)
+"""One positioner of an array that must not be moved, until it is cleared or the time is over."""
 
-    __table_args__ = (Index("measurements_of_positioner", "run_id", "positioner_id"),)
-
-
-class CalibrationRow(Summed, Base):
-    """Which calibration of a positioner's axis a run made or used."""
-
-    __tablename__ = "calibrations"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
-    positioner_id: Mapped[int]
-    axis: Mapped[str]
-    kind: Mapped[str]
-    file: Mapped[str]
-    hash: Mapped[str]
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-
-
-class EventRow(Summed, Base):
-    """Something an operator wants to know later: a collision, a flag, a remark."""
-
-    __tablename__ = "events"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    time_s: Mapped[float | None]
-    positioner_id: Mapped[int | None]
-    kind: Mapped[str]
-    text: Mapped[str]
-
-
-class PartRow(Summed, Base):
-    """One of the things that the result files of a run are made of, beside moves and measurements."""
-
-    __tablename__ = "parts"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), index=True)
-    move_id: Mapped[int | None] = mapped_column(ForeignKey("moves.id"))  # none: of the whole run
-    name: Mapped[str]
-    data: Mapped[bytes] = mapped_column(LargeBinary)  # as `store.parts` packs it
-
-
-class GenerationRow(Summed, Base):
-    """One step of learning: an observation that taught something, or a step back."""
-
-    __tablename__ = "learnt_generations"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    origin: Mapped[str] = mapped_column(index=True)  # digest of the calibration that it builds on
-    kind: Mapped[str]  # observe, undo
-    instrument: Mapped[str]
-    config_hash: Mapped[str]
-    seed: Mapped[int | None]
-    version: Mapped[str]
-    note: Mapped[str]
-
-
-class LearntRow(Summed, Base):
-    """What is known of one positioner since a generation; earlier rows stay."""
-
-    __tablename__ = "learnt_states"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    generation_id: Mapped[int] = mapped_column(ForeignKey("learnt_generations.id"))
-    positioner_id: Mapped[int]
-    moves: Mapped[int]  # learnt from since the calibration
-    shift_mdeg: Mapped[float]  # rms change of both maps by this generation
-    data: Mapped[bytes | None] = mapped_column(LargeBinary)  # none: the calibration itself
-
-    __table_args__ = (Index("learnt_of_positioner", "generation_id", "positioner_id", unique=True),)
-
-
-class ExclusionRow(Summed, Base):
-    """One positioner of an array that must not be moved, until it is cleared or the time is over."""
-
-    __tablename__ = "exclusions"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
-    positioner_id: Mapped[int]
-    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    until: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: until it is cleared
-    who: Mapped[str]
-    why: Mapped[str]
-    cleared: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    cleared_by: Mapped[str]
-
-
-class ArrayStateRow(Summed, Base):
-    """The state of an array and the process that owns it: one motion at a time."""
-
-    __tablename__ = "array_state"
-
-    address: Mapped[str] = mapped_column(primary_key=True)
-    state: Mapped[str]
-    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    text: Mapped[str]  # why it is in this state
+ARRAY_STATE = _summed(
+    "array_state",
+    _given("address", String, primary_key=True),
+    _given("state", String),
+    _given("since", _TIME),
+    _given("text", String),  # why it is in this state
     # the owner: no token, no owner
-    token: Mapped[str]
-    command: Mapped[str]
-    host: Mapped[str]
-    pid: Mapped[int]
-    process_start: Mapped[str]
-    heartbeat: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
+    _given("token", String),
+    _given("command", String),
+    _given("host", String),
+    _given("pid", Integer),
+    _given("process_start", String),
+    _maybe("heartbeat", _TIME),
     # what another process asks of the owner
-    stop_asked_by: Mapped[str]  # empty: nothing
+    _given("stop_asked_by", String),  # empty: nothing
+)
+"""The state of an array and the process that owns it: one motion at a time."""
 
+PLACES = _summed(
+    "places",
+    _given("address", String, primary_key=True),
+    _given("positioner_id", Integer, primary_key=True),
+    _given("utc", _TIME),
+    _given("alpha_deg", Double),
+    _given("beta_deg", Double),
+    _maybe("wire_alpha_deg", Double),  # none: it did not answer
+    _maybe("wire_beta_deg", Double),
+    _given("how", String),  # seen, reported, unknown
+    _given("datum", Boolean),  # searched since power came on, as far as is known
+)
+"""Where one positioner of an array was last, and how that is known."""
 
-class PlaceRow(Summed, Base):
-    """Where one positioner of an array was last, and how that is known."""
-
-    __tablename__ = "places"
-
-    address: Mapped[str] = mapped_column(primary_key=True)
-    positioner_id: Mapped[int] = mapped_column(primary_key=True)
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    alpha_deg: Mapped[float]
-    beta_deg: Mapped[float]
-    wire_alpha_deg: Mapped[float | None]  # none: it did not answer
-    wire_beta_deg: Mapped[float | None]
-    how: Mapped[str]  # seen, reported, unknown
-    datum: Mapped[bool]  # searched since power came on, as far as is known
-
-
-class NightRow(Summed, Base):
-    """One night: a queue of fields that is worked through. Times are of the night's clock."""
-
-    __tablename__ = "nights"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    name: Mapped[str]
-    queue: Mapped[str]  # its file
-    array: Mapped[str]  # address of its bus
-    instrument: Mapped[str]
-    config_hash: Mapped[str]
-    seed: Mapped[int]
-    version: Mapped[str]
-    command_line: Mapped[str]
-    status: Mapped[str]  # running, finished, failed, interrupted
-    note: Mapped[str]
+NIGHTS = _summed(
+    "nights",
+    _number(),
+    _given("utc_start", _TIME),
+    _maybe("utc_end", _TIME),
+    _given("name", String),
+    _given("queue", String),  # its file
+    _given("array", String),  # address of its bus
+    _given("instrument", String),
+    _given("config_hash", String),
+    _given("seed", Integer),
+    _given("version", String),
+    _given("command_line", String),
+    _given("status", String),  # running, finished, failed, interrupted
+    _given("note", String),
     # which process has it: a night that was left is told from one that goes on
-    host: Mapped[str]
-    pid: Mapped[int]
-    process_start: Mapped[str]
+    _given("host", String),
+    _given("pid", Integer),
+    _given("process_start", String),
+)
+"""One night: a queue of fields that is worked through. Times are of the night's clock."""
 
+FIELDS = _summed(
+    "fields",
+    _number(),
+    _given("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _given("name", String),
+    _given("entry", String),  # JSON
+    _given("state", String),  # queued, prepared, positioning, ready, exposing, done, failed, skipped
+    _given("reason", String),
+)
+"""One field of a night's queue, as it was last read, and what became of it."""
 
-class FieldRow(Summed, Base):
-    """One field of a night's queue, as it was last read, and what became of it."""
+VISITS = _summed(
+    "visits",
+    _number(),
+    _given("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _given("field", String),
+    _given("repeat", Integer),  # from 0
+    _given("dither", Integer),  # from 0
+    _given("attempt", Integer),  # from 1
+    _given("state", String),  # as of a field
+    _given("utc_start", _TIME),
+    _maybe("utc_end", _TIME),
+    _maybe("run_id", Integer, ForeignKey("runs.id")),  # its moves, goals and measurements
+    _maybe("plan_digest", String),  # of the blind move
+    _maybe("plan_from", String),  # ahead, or why it was planned anew
+    _maybe("on_target", Integer),
+    _maybe("assigned", Integer),
+    _maybe("rms_um", Double),
+    _given("note", String),
+)
+"""One try to put the fibres on a field; written before anything moves for it."""
 
-    __tablename__ = "fields"
+STAGES = _summed(
+    "stages",
+    _number(),
+    _given("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _maybe("visit_id", Integer, ForeignKey("visits.id")),
+    _given("name", String),
+    _given("utc_start", _TIME),
+    _given("duration_s", Double),  # of the night's clock
+    _given("wall_s", Double),  # of this machine
+    _given("outcome", String),  # done, or what went wrong
+)
+"""One stage of a visit or of the night, when it has ended."""
 
-    id: Mapped[int] = mapped_column(primary_key=True)
-    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
-    name: Mapped[str]
-    entry: Mapped[str]  # JSON
-    state: Mapped[str]  # queued, prepared, positioning, ready, exposing, done, failed, skipped
-    reason: Mapped[str]
+EXPOSURES = _summed(
+    "exposures",
+    _number(),
+    _given("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _given("visit_id", Integer, ForeignKey("visits.id"), index=True),
+    _given("number", Integer),  # from 1
+    _given("key", String, unique=True),  # the shutter opens once for it
+    _given("asked_s", Double),
+    _maybe("utc_start", _TIME),  # none: it has not opened
+    _maybe("utc_end", _TIME),  # none: not known to be closed
+)
+"""One exposure; written before the shutter is asked to open."""
 
+COMMANDS = _summed(
+    "commands",
+    _number(),
+    _given("address", String, index=True),  # of the array: that of its bus
+    _maybe("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _given("utc", _TIME),
+    _given("author", String),
+    _given("role", String),
+    _given("command", String),
+    _given("parameters", String),  # JSON
+    _given("key", String),  # one that comes twice is done once; empty: none was given
+    _maybe("utc_end", _TIME),  # none: it goes on
+    _given("result", String),  # running, done, failed, stopped, refused
+    _given("text", String),
+)
+"""One command to an array, or to its night, that came from a person or a program."""
 
-class VisitRow(Summed, Base):
-    """One try to put the fibres on a field; written before anything moves for it."""
-
-    __tablename__ = "visits"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
-    field: Mapped[str]
-    repeat: Mapped[int]  # from 0
-    dither: Mapped[int]  # from 0
-    attempt: Mapped[int]  # from 1
-    state: Mapped[str]  # as of a field
-    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    run_id: Mapped[int | None] = mapped_column(ForeignKey("runs.id"))  # its moves, goals and measurements
-    plan_digest: Mapped[str | None]  # of the blind move
-    plan_from: Mapped[str | None]  # ahead, or why it was planned anew
-    on_target: Mapped[int | None]
-    assigned: Mapped[int | None]
-    rms_um: Mapped[float | None]
-    note: Mapped[str]
-
-
-class StageRow(Summed, Base):
-    """One stage of a visit or of the night, when it has ended."""
-
-    __tablename__ = "stages"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
-    visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
-    name: Mapped[str]
-    utc_start: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    duration_s: Mapped[float]  # of the night's clock
-    wall_s: Mapped[float]  # of this machine
-    outcome: Mapped[str]  # done, or what went wrong
-
-
-class ExposureRow(Summed, Base):
-    """One exposure; written before the shutter is asked to open."""
-
-    __tablename__ = "exposures"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    night_id: Mapped[int] = mapped_column(ForeignKey("nights.id"), index=True)
-    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), index=True)
-    number: Mapped[int]  # from 1
-    key: Mapped[str] = mapped_column(unique=True)  # the shutter opens once for it
-    asked_s: Mapped[float]
-    utc_start: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it has not opened
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: not known to be closed
-
-
-class CommandRow(Summed, Base):
-    """One command to an array, or to its night, that came from a person or a program."""
-
-    __tablename__ = "commands"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    address: Mapped[str] = mapped_column(index=True)  # of the array: that of its bus
-    night_id: Mapped[int | None] = mapped_column(ForeignKey("nights.id"), index=True)
-    utc: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    author: Mapped[str]
-    role: Mapped[str]
-    command: Mapped[str]
-    parameters: Mapped[str]  # JSON
-    key: Mapped[str]  # one that comes twice is done once; empty: none was given
-    utc_end: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: it goes on
-    result: Mapped[str]  # running, done, failed, stopped, refused
-    text: Mapped[str]
-
-
-class AlarmRow(Summed, Base):
-    """One alarm of an array, or of its night, from when it was raised until it is gone and acknowledged."""
-
-    __tablename__ = "alarms"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    address: Mapped[str] = mapped_column(index=True)
-    night_id: Mapped[int | None] = mapped_column(ForeignKey("nights.id"), index=True)
-    code: Mapped[str]
-    severity: Mapped[str]
-    subject: Mapped[str]  # a positioner's number, or a part of the array
-    since: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    last: Mapped[datetime] = mapped_column(DateTime(timezone=True))
-    count: Mapped[int]
-    text: Mapped[str]
-    advice: Mapped[str]
-    gone: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))  # none: the cause is there
-    acknowledged: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
-    acknowledged_by: Mapped[str]
+ALARMS = _summed(
+    "alarms",
+    _number(),
+    _given("address", String, index=True),
+    _maybe("night_id", Integer, ForeignKey("nights.id"), index=True),
+    _given("code", String),
+    _given("severity", String),
+    _given("subject", String),  # a positioner's number, or a part of the array
+    _given("since", _TIME),
+    _given("last", _TIME),
+    _given("count", Integer),
+    _given("text", String),
+    _given("advice", String),
+    _maybe("gone", _TIME),  # none: the cause is there
+    _maybe("acknowledged", _TIME),
+    _given("acknowledged_by", String),
+)
+"""One alarm of an array, or of its night, from when it was raised until it is gone and acknowledged."""

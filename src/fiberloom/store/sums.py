@@ -17,10 +17,9 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection, Table, and_, insert, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
-from fiberloom.store.schema import Base, PlaceRow
+from fiberloom.store.schema import PLACES, SUM
 
-SUM = "row_sum"
-_LEFT_OUT = {PlaceRow.__tablename__: {"datum"}}
+_LEFT_OUT = {PLACES.name: {"datum"}}
 """Columns that sums did not cover when stores of today began to be written; such a sum is right still."""
 
 Row = Mapping[Any, Any]
@@ -43,42 +42,38 @@ def record_of(kind: type[Record], row: Row) -> Record:
     return kind(**{k: as_utc(v) if isinstance(v, datetime) else v for k, v in values.items()})
 
 
-def put(connection: Connection, row: type[Base], values: Iterable[Mapping[str, Any]]) -> None:
+def put(connection: Connection, table: Table, values: Iterable[Mapping[str, Any]]) -> None:
     """Inserts rows of a table with their sums; a column that is not given is None."""
-    table = _table(row)
     made = [{**v, SUM: _sum(table, v)} for v in values]
     if made:
         connection.execute(insert(table), made)
 
 
-def put_one(connection: Connection, row: type[Base], values: Mapping[str, Any]) -> int:
+def put_one(connection: Connection, table: Table, values: Mapping[str, Any]) -> int:
     """Inserts one row with its sum; its number."""
-    table = _table(row)
     query = insert(table).returning(table.c.id)
     number: int = connection.execute(query, {**values, SUM: _sum(table, values)}).scalar_one()
     return number
 
 
-def change(connection: Connection, row: type[Base], where: Any, values: Mapping[str, Any]) -> int:
+def change(connection: Connection, table: Table, where: Any, values: Mapping[str, Any]) -> int:
     """Gives rows that exist new values and new sums; how many there were.
 
-    `connection`: of the transaction; `row`: class of the table; `where`: which rows; `values`: by column.
+    `connection`: of the transaction; `where`: which rows of the `table`; `values`: by column.
     Raises DamagedError where one of them has changed by itself: a new sum would hide that.
     """
-    table = _table(row)
     # to itself: from here to the end of the transaction no other process changes these rows
     if not connection.execute(update(table).where(where).values({SUM: table.c[SUM]})).rowcount:
         return 0
-    there = checked(connection, row, where)
+    there = checked(connection, table, where)
     for old in there:
         made = {**values, SUM: _sum(table, {**old, **values})}
         connection.execute(update(table).where(_same(table, old)).values(made))
     return len(there)
 
 
-def checked(connection: Connection, row: type[Base], where: Any = None) -> Sequence[Row]:
+def checked(connection: Connection, table: Table, where: Any = None) -> Sequence[Row]:
     """The rows of a table with all columns, by their key. DamagedError names the first that has changed."""
-    table = _table(row)
     keys = list(table.primary_key)
     query = select(table).order_by(*keys)
     chosen = query if where is None else query.where(where)
@@ -88,13 +83,12 @@ def checked(connection: Connection, row: type[Base], where: Any = None) -> Seque
         if _is_of_a_cell(error):
             _name_unreadable(connection, table)
         raise
-    check(row, rows)
+    check(table, rows)
     return rows
 
 
-def check(row: type[Base], rows: Iterable[Row]) -> None:
+def check(table: Table, rows: Iterable[Row]) -> None:
     """Raises DamagedError for the first of `rows`, with all columns of their table, that has changed."""
-    table = _table(row)
     for values in rows:
         if values[SUM] is not None and not _is_sound(table, values):
             raise _damaged(table, values)
@@ -137,12 +131,6 @@ def _damaged(table: Table, values: Row) -> DamagedError:
     # an array has no number but an address; a place has an address and a positioner
     key = next(values[name] for name in ("id", "positioner_id", "address") if name in values)
     return DamagedError(f"row {key} of the table {table.name} is not what was written")
-
-
-def _table(row: type[Base]) -> Table:
-    table = row.__table__
-    assert isinstance(table, Table)
-    return table
 
 
 def _sum(table: Table, values: Row, left_out: Iterable[str] = ()) -> int:

@@ -180,13 +180,13 @@ def test_learning_of_maps_and_growth_of_arms_do_not_mix(maps, tmp_path):
 
 def test_arms_of_a_survey_carry_its_temperature(maps, tmp_path):
     """Measured at 0 deg C and used there nothing grows; used at 20 they do."""
-    from fiberloom.calibration.focal_plane.arms_file import arms_measured_C
+    from fiberloom.calibration.focal_plane.arms_file import ArmsFile
     from fiberloom.operation.survey import SurveySettings
 
     cold = fl.Field.twin(INVAR, SEED, camera="noise", errors="temperature,at_C=0", calibration=maps)
     found = cold.run.survey(SurveySettings(6, seed=SEED), out=tmp_path)
     found.save(tmp_path)
-    assert arms_measured_C(tmp_path / "arms.ecsv") == pytest.approx(0.0, abs=0.4)
+    assert ArmsFile.read(tmp_path / "arms.ecsv", INVAR).measured_C == pytest.approx(0.0, abs=0.4)
     again = cold.run.survey(
         SurveySettings(6, seed=SEED), measured=tmp_path / "store.sqlite", out=tmp_path / "b"
     )

@@ -12,7 +12,7 @@ from fiberloom.operation.session.array_lock import ArrayLock, state_of
 from fiberloom.operation.session.states import Deed, SessionState, Step
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook, NotOwner
-from fiberloom.store.schema import ArrayStateRow
+from fiberloom.store.schema import ARRAY_STATE
 from fiberloom.store.sums import change
 
 BUS = "socketcan:can0"
@@ -33,7 +33,7 @@ def until(condition, within_s=5.0):
 
 def backdate(book, **values):
     with book.store.transaction() as connection:
-        change(connection, ArrayStateRow, ArrayStateRow.address == BUS, values)
+        change(connection, ARRAY_STATE, ARRAY_STATE.c.address == BUS, values)
 
 
 def gone():

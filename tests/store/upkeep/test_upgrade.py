@@ -11,7 +11,7 @@ from sqlalchemy import create_engine, insert, inspect, select
 from fiberloom.errors import InputError
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.store.schema import SCHEMA_VERSION, Base, RunRow, SchemaRow
+from fiberloom.store.schema import RUNS, SCHEMA, SCHEMA_VERSION, TABLES
 from fiberloom.store.sums import as_utc
 from fiberloom.store.upkeep.check import check_store
 from fiberloom.store.upkeep.copy import copy_store
@@ -32,11 +32,10 @@ def older(place, version):
     """A store as that version has made it, with a run in it."""
     engine = engine_of(place)
     with engine.begin() as connection:
-        Base.metadata.create_all(connection, tables=[SchemaRow.__table__])
-        connection.execute(insert(SchemaRow), {"version": 0})
+        TABLES.create_all(connection, tables=[SCHEMA])
+        connection.execute(insert(SCHEMA), {"version": 0})
         upgrade_tables(connection, 0, version)
-        runs = RunRow.__table__
-        connection.execute(insert(runs).values(FIRST_ROW))
+        connection.execute(insert(RUNS).values(FIRST_ROW))
     engine.dispose()
     return place
 
@@ -219,7 +218,7 @@ def test_a_store_that_knows_an_array_and_no_run_is_not_empty(tmp_path):
 def all_rows(store):
     """Of every table, times without the zone that only some databases tell."""
     with store.transaction() as connection:
-        rows = {t.name: connection.execute(select(t)).all() for t in Base.metadata.sorted_tables}
+        rows = {t.name: connection.execute(select(t)).all() for t in TABLES.sorted_tables}
     return {
         name: sorted([as_utc(v) if isinstance(v, datetime) else v for v in row] for row in found)
         for name, found in rows.items()

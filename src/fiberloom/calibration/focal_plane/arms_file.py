@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from fiberloom.calibration.focal_plane.fit import N_GEOMETRY, PARAMETERS, FocalP
 from fiberloom.errors import InputError, one_line
 from fiberloom.instruments import FocalPlane
 from fiberloom.tables import TableFile, read_ecsv, write_columns
-from fiberloom.typing import Array, Floats
+from fiberloom.typing import Array, Floats, Ints
 from fiberloom.units import MM_PER_UM, rad_to_deg
 
 FORMAT = "fiberloom arms"
@@ -58,45 +58,67 @@ def load_arms(path: str | Path, plane: FocalPlane) -> FocalPlane:
 
     A positioner of the `plane` that is not in the file at `path`, or was refused, keeps the layout's arms.
     """
-    rows, fit, fiducials = _of_plane(path, plane)
-    part = fit.plane(plane.select(rows))
-    arms, points = plane.arms.copy(), {k: v.copy() for k, v in plane.points.items()}
-    arms[rows] = part.arms
-    for name, xy in points.items():
-        xy[rows] = part.points[name]
-    calibrated = replace(plane, arms=arms, points=points)
-    return calibrated if fiducials is None else fiducials.applied(calibrated)
+    return ArmsFile.read(path, plane).calibrated()
 
 
-def load_arms_covariance(path: str | Path, plane: FocalPlane, otherwise_um: float = 1.0) -> Floats:
-    """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta; `otherwise_um` for one that is not in the file."""
-    rows, fit, _ = _of_plane(path, plane)
-    covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (plane.n, 1, 1))
-    covariance[rows[fit.ok]] = fit.arms_covariance_mm2[fit.ok]
-    return covariance
+@dataclass(frozen=True)
+class ArmsFile:
+    """What a file says of the positioners of a layout."""
+
+    plane: FocalPlane
+    """The layout."""
+    rows: Ints
+    """(M,) of the layout: those that the file has."""
+    fit: FocalPlaneFit
+    """Of these M."""
+    fiducials: Fiducials | None
+    """None: they were not calibrated."""
+    measured_C: float | None
+    """Temperature at which the arms were measured, deg C; None where it was not noted."""
+
+    @classmethod
+    def read(cls, path: str | Path, plane: FocalPlane) -> ArmsFile:
+        """Reads the file at `path` for the positioners of the `plane`; InputError with its name for one that
+        is no such file, holds nonsense, or none of them.
+        """
+        try:
+            table = _read(Path(path))
+            _as_fit(table)  # whole, before a part of it is taken
+            _check_sound(table)
+            fiducials = Fiducials.of_meta(table.head, plane.fiducials[:, :2])
+        except (TypeError, ValueError, OverflowError) as error:
+            named = str(error).startswith(str(path))
+            raise InputError(str(error) if named else f"{path}: {one_line(error)}; calibrate again") from None
+        known = {int(p): row for row, p in enumerate(plane.positioner_id)}
+        here = np.array([int(p) in known for p in table.columns["positioner_id"]], dtype=bool)
+        if not here.any():
+            raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
+        fit = _as_fit(table.select(np.flatnonzero(here)))
+        rows = np.array([known[int(p)] for p in fit.positioner_id])
+        return cls(plane, rows, fit, fiducials, _measured_C(table))
+
+    def calibrated(self) -> FocalPlane:
+        """The layout with these arms and fiducials; what was refused stays as it is there."""
+        part = self.fit.plane(self.plane.select(self.rows))
+        arms, points = self.plane.arms.copy(), {k: v.copy() for k, v in self.plane.points.items()}
+        arms[self.rows] = part.arms
+        for name, xy in points.items():
+            xy[self.rows] = part.points[name]
+        found = replace(self.plane, arms=arms, points=points)
+        return found if self.fiducials is None else self.fiducials.applied(found)
+
+    def covariance_mm2(self, otherwise_um: float = 1.0) -> Floats:
+        """(N, 4, 4) mm^2 of centre x, y, l_alpha, l_beta of all positioners of the layout; `otherwise_um` for
+        one that is not in the file.
+        """
+        covariance = np.tile(np.eye(4) * (otherwise_um * MM_PER_UM) ** 2, (self.plane.n, 1, 1))
+        covariance[self.rows[self.fit.ok]] = self.fit.arms_covariance_mm2[self.fit.ok]
+        return covariance
 
 
-def arms_measured_C(path: str | Path) -> float | None:
-    """Temperature at which the arms of a file were measured, deg C; None where it was not noted."""
-    found = _read(Path(path)).head.get(MEASURED_C)
+def _measured_C(table: TableFile) -> float | None:
+    found = table.head.get(MEASURED_C)
     return float(found) if isinstance(found, int | float) and np.isfinite(found) else None
-
-
-def _of_plane(path: str | Path, plane: FocalPlane) -> tuple[Floats, FocalPlaneFit, Fiducials | None]:
-    try:
-        table = _read(Path(path))
-        _as_fit(table)  # whole, before a part of it is taken
-        _check_sound(table)
-        fiducials = Fiducials.of_meta(table.head, plane.fiducials[:, :2])
-    except (TypeError, ValueError, OverflowError) as error:
-        named = str(error).startswith(str(path))
-        raise InputError(str(error) if named else f"{path}: {one_line(error)}; calibrate again") from None
-    known = {int(p): row for row, p in enumerate(plane.positioner_id)}
-    here = np.array([int(p) in known for p in table.columns["positioner_id"]], dtype=bool)
-    if not here.any():
-        raise InputError(f"{path}: holds none of the {plane.n} positioners of this layout")
-    fit = _as_fit(table.select(np.flatnonzero(here)))
-    return np.array([known[int(p)] for p in fit.positioner_id]), fit, fiducials
 
 
 def _as_fit(table: TableFile) -> FocalPlaneFit:

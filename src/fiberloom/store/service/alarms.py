@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.store.schema import AlarmRow
+from fiberloom.store.schema import ALARMS
 from fiberloom.store.sums import change, checked, put_one, record_of
 
 
@@ -73,9 +73,9 @@ class AlarmTable:
         values = alarm.columns()
         with self._store.transaction() as connection:
             if alarm.id:
-                change(connection, AlarmRow, AlarmRow.id == alarm.id, values)
+                change(connection, ALARMS, ALARMS.c.id == alarm.id, values)
                 return alarm
-            return replace(alarm, id=put_one(connection, AlarmRow, {"address": self._address, **values}))
+            return replace(alarm, id=put_one(connection, ALARMS, {"address": self._address, **values}))
 
     def open(self) -> list[Alarm]:
         """Those that are not over, by number."""
@@ -84,6 +84,6 @@ class AlarmTable:
     def all(self) -> list[Alarm]:
         """All that were raised, by number."""
         with self._store.transaction() as connection:
-            rows = checked(connection, AlarmRow)
+            rows = checked(connection, ALARMS)
         mine = (row for row in rows if row["address"] == self._address and row["night_id"] is None)
         return [record_of(Alarm, row) for row in mine]

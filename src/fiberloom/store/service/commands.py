@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import func, select
 
 from fiberloom.store.arrays import ArrayBook
-from fiberloom.store.schema import CommandRow
+from fiberloom.store.schema import COMMANDS
 from fiberloom.store.sums import change, checked, put_one, record_of
 
 LONGEST = 2000
@@ -87,44 +87,44 @@ class CommandBook:
             "text": "",
         }
         with self._store.transaction() as connection:
-            return put_one(connection, CommandRow, values)
+            return put_one(connection, COMMANDS, values)
 
     def end(self, number: int, result: CommandResult, text: str = "") -> None:
         """Writes how command `number` has ended: its `result`, and a `text` for the operator."""
         values = {"utc_end": datetime.now(UTC), "result": result.value, "text": text[:LONGEST]}
         with self._store.transaction() as connection:
-            change(connection, CommandRow, CommandRow.id == number, values)
+            change(connection, COMMANDS, COMMANDS.c.id == number, values)
 
     def abandon(self) -> int:
         """Books commands as failed that run on record though their process has ended; how many."""
-        running = (CommandRow.address == self._address) & (CommandRow.result == CommandResult.RUNNING.value)
+        running = (COMMANDS.c.address == self._address) & (COMMANDS.c.result == CommandResult.RUNNING.value)
         values = {"utc_end": datetime.now(UTC), "result": CommandResult.FAILED.value}
         with self._store.transaction() as connection:
             return change(
-                connection, CommandRow, running, values | {"text": "its process ended without a word"}
+                connection, COMMANDS, running, values | {"text": "its process ended without a word"}
             )
 
     def get(self, number: int) -> CommandRecord | None:
         """The command with this number; None: there is none."""
-        return next(iter(self._rows(CommandRow.id == number)), None)
+        return next(iter(self._rows(COMMANDS.c.id == number)), None)
 
     def by_key(self, author: str, key: str) -> CommandRecord | None:
         """The command that an author has given with this key of idempotency; None: there is none.
 
         One that was refused does not count: nothing was done, and it may be given again.
         """
-        given = (CommandRow.key == key) & (CommandRow.author == author)
-        given &= CommandRow.result != CommandResult.REFUSED.value
+        given = (COMMANDS.c.key == key) & (COMMANDS.c.author == author)
+        given &= COMMANDS.c.result != CommandResult.REFUSED.value
         return next(iter(self._rows(given)), None) if key else None
 
     def last(self, most: int = 50) -> list[CommandRecord]:
         """The last commands, newest first."""
-        newest = select(func.max(CommandRow.id)).where(CommandRow.address == self._address)
+        newest = select(func.max(COMMANDS.c.id)).where(COMMANDS.c.address == self._address)
         with self._store.transaction() as connection:
             top = connection.execute(newest).scalar() or 0
-        return self._rows(CommandRow.id > top - most)[::-1]
+        return self._rows(COMMANDS.c.id > top - most)[::-1]
 
     def _rows(self, where: Any) -> list[CommandRecord]:
         with self._store.transaction() as connection:
-            rows = checked(connection, CommandRow, where)
+            rows = checked(connection, COMMANDS, where)
         return [record_of(CommandRecord, row) for row in rows if row["address"] == self._address]

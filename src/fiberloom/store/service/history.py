@@ -6,10 +6,10 @@ from datetime import datetime
 from statistics import median
 from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import Table, select
 
 from fiberloom.store.database import Store
-from fiberloom.store.schema import AlarmRow, Base, EventRow, ExclusionRow, MeasurementRow, MoveRow, VisitRow
+from fiberloom.store.schema import ALARMS, EVENTS, EXCLUSIONS, MEASUREMENTS, MOVES, VISITS
 from fiberloom.store.sums import checked
 
 MEASURED = ("x_mm", "y_mm", "seen", "alpha_deg", "beta_deg", "target_id", "error_um", "status")
@@ -24,8 +24,8 @@ def positioner_history(store: Store, positioner_id: int, most: int = 50) -> dict
     return {
         "measurements": _measurements(store, positioner_id, most),
         "events": _events(store, positioner_id, most),
-        "exclusions": _rows(store, ExclusionRow, ExclusionRow.positioner_id == positioner_id, most),
-        "alarms": _rows(store, AlarmRow, AlarmRow.subject.in_(_subjects(positioner_id)), most),
+        "exclusions": _rows(store, EXCLUSIONS, EXCLUSIONS.c.positioner_id == positioner_id, most),
+        "alarms": _rows(store, ALARMS, ALARMS.c.subject.in_(_subjects(positioner_id)), most),
     }
 
 
@@ -52,9 +52,9 @@ def _subjects(positioner_id: int) -> tuple[str, str]:
     return str(positioner_id), f"positioner {positioner_id}"
 
 
-def _rows(store: Store, row: type[Base], where: Any, most: int) -> list[dict[str, Any]]:
+def _rows(store: Store, table: Table, where: Any, most: int) -> list[dict[str, Any]]:
     with store.transaction() as connection:
-        found = checked(connection, row, where)
+        found = checked(connection, table, where)
     return [_plain(r) for r in found[::-1][:most]]
 
 
@@ -65,18 +65,18 @@ def _plain(row: Any) -> dict[str, Any]:
 
 def _measurements(store: Store, positioner_id: int, most: int) -> list[dict[str, Any]]:
     query = (
-        select(MeasurementRow, MoveRow.number, MoveRow.kind, MoveRow.utc, VisitRow.night_id, VisitRow.field)
-        .join(MoveRow, MeasurementRow.move_id == MoveRow.id)
-        .outerjoin(VisitRow, VisitRow.run_id == MeasurementRow.run_id)
-        .where(MeasurementRow.positioner_id == positioner_id)
-        .order_by(MeasurementRow.id.desc())
+        select(MEASUREMENTS, MOVES.c.number, MOVES.c.kind, MOVES.c.utc, VISITS.c.night_id, VISITS.c.field)
+        .join(MOVES, MEASUREMENTS.c.move_id == MOVES.c.id)
+        .outerjoin(VISITS, VISITS.c.run_id == MEASUREMENTS.c.run_id)
+        .where(MEASUREMENTS.c.positioner_id == positioner_id)
+        .order_by(MEASUREMENTS.c.id.desc())
         .limit(most)
     )
-    names = [c.name for c in MeasurementRow.__table__.columns]
+    names = [c.name for c in MEASUREMENTS.columns]
     with store.transaction() as connection:
         found = connection.execute(query).all()
         ids = [row[names.index("id")] for row in found]
-        checked(connection, MeasurementRow, MeasurementRow.id.in_(ids))
+        checked(connection, MEASUREMENTS, MEASUREMENTS.c.id.in_(ids))
     return [
         _measured(dict(zip([*names, "move", "kind", "utc", "night", "field"], row, strict=True)))
         for row in found
@@ -91,7 +91,7 @@ def _measured(row: dict[str, Any]) -> dict[str, Any]:
 
 def _events(store: Store, positioner_id: int, most: int) -> list[dict[str, Any]]:
     with store.transaction() as connection:
-        rows = checked(connection, EventRow, EventRow.positioner_id == positioner_id)
+        rows = checked(connection, EVENTS, EVENTS.c.positioner_id == positioner_id)
     return [
         {"run": row["run_id"], "utc": row["utc"].isoformat(), "kind": row["kind"], "text": row["text"]}
         for row in rows[::-1][:most]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sqlalchemy import Connection, func, select
+from sqlalchemy import Connection, Table, func, select
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
-from fiberloom.store.schema import Base, SchemaRow
-from fiberloom.store.sums import SUM, DamagedError, checked
+from fiberloom.store.schema import SCHEMA, SUM, TABLES
+from fiberloom.store.sums import DamagedError, checked
 
 
 @dataclass
@@ -32,26 +32,24 @@ class StoreCheck:
 def check_store(store: Store) -> StoreCheck:
     """Reads every row of a store; what is wrong is in `faults`, one line for each table at most."""
     with store.transaction() as connection:
-        found = StoreCheck(connection.execute(select(SchemaRow.version)).scalar_one())
+        found = StoreCheck(connection.execute(select(SCHEMA.c.version)).scalar_one())
         found.faults += _said_by_sqlite(connection)
-    for row in _kinds():
-        _check_table(store, row, found)
+    for table in _summed():
+        _check_table(store, table, found)
     return found
 
 
-def _kinds() -> list[type[Base]]:
-    rows = [mapper.class_ for mapper in Base.registry.mappers]
-    return sorted((row for row in rows if row is not SchemaRow), key=lambda row: str(row.__tablename__))
+def _summed() -> list[Table]:
+    return [table for name, table in sorted(TABLES.tables.items()) if table is not SCHEMA]
 
 
-def _check_table(store: Store, row: type[Base], found: StoreCheck) -> None:
-    table = row.__table__
+def _check_table(store: Store, table: Table, found: StoreCheck) -> None:
     try:
         with store.transaction() as connection:
             query = select(func.count()).select_from(table)
-            found.rows[row.__tablename__] = connection.execute(query).scalar_one()
+            found.rows[table.name] = connection.execute(query).scalar_one()
             found.without_sum += connection.execute(query.where(table.c[SUM].is_(None))).scalar_one()
-            checked(connection, row)
+            checked(connection, table)
     except (InputError, DamagedError) as error:
         found.faults.append(str(error).removeprefix(f"store '{store.name}': "))
 

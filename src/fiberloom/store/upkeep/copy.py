@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Table, func, insert, select, text
 
 from fiberloom.errors import InputError
 from fiberloom.store.database import Store
-from fiberloom.store.schema import Base, SchemaRow
+from fiberloom.store.schema import SCHEMA, TABLES
 from fiberloom.store.sums import Row, checked
 
 _AT_ONCE = 1000
@@ -23,11 +23,10 @@ def copy_store(source: Store, target: Store) -> dict[str, int]:
         The target is not empty; a row of the source is damaged.
     """
     with source.transaction() as old, target.transaction() as new:
-        rows = {mapper.local_table: mapper.class_ for mapper in Base.registry.mappers}
-        tables = [table for table in Base.metadata.sorted_tables if rows[table] is not SchemaRow]
+        tables = [table for table in TABLES.sorted_tables if table is not SCHEMA]
         if any(new.execute(select(func.count()).select_from(table)).scalar_one() for table in tables):
             raise InputError(f"store '{target.name}': is not empty; name a new one")
-        return {table.name: _put(new, table, checked(old, rows[table])) for table in tables}
+        return {table.name: _put(new, table, checked(old, table)) for table in tables}
 
 
 def _put(connection: Connection, table: Table, rows: Sequence[Row]) -> int:

@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from fiberloom.errors import InputError, one_line
 from fiberloom.store.engines import file_engine, url_engine
 from fiberloom.store.find import existing
-from fiberloom.store.schema import SCHEMA_VERSION, SchemaRow
+from fiberloom.store.schema import SCHEMA, SCHEMA_VERSION
 from fiberloom.wholefile import whole
 
 _HERE = Path(__file__).parent
@@ -63,20 +63,20 @@ def upgrade(where: str) -> tuple[int, Path | None]:
 def upgrade_tables(connection: Connection, found: int, to: int = SCHEMA_VERSION) -> None:
     """Goes up the line of revisions, from version `found` to version `to`, in the transaction at hand."""
     # to itself: SQLite begins a transaction with the first row that is written; no other process writes then
-    connection.execute(update(SchemaRow).values(version=SchemaRow.version))
+    connection.execute(update(SCHEMA).values(version=SCHEMA.c.version))
     line = ScriptDirectory(str(_HERE), version_locations=[str(_HERE / "revisions")])
     steps = list(line.iterate_revisions(str(to), str(found) if found else "base"))
     with Operations.context(MigrationContext.configure(connection)):
         for step in reversed(steps):
             step.module.upgrade()
-    connection.execute(update(SchemaRow).values(version=to))
+    connection.execute(update(SCHEMA).values(version=to))
 
 
 def _version(engine: Engine, where: str) -> int:
     with engine.connect() as connection:
-        if not inspect(connection).has_table(SchemaRow.__tablename__):
+        if not inspect(connection).has_table(SCHEMA.name):
             raise InputError(f"store '{where}': has no tables of fiberloom; name the store of an earlier run")
-        found = connection.execute(select(SchemaRow.version)).scalar() or 0
+        found = connection.execute(select(SCHEMA.c.version)).scalar() or 0
     if found > SCHEMA_VERSION:
         raise InputError(
             f"store '{where}': its tables are of version {found}, this program writes {SCHEMA_VERSION}; "
