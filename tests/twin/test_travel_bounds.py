@@ -179,6 +179,18 @@ def test_shorter_slices_give_the_same_bytes():
     assert again == told
 
 
+@pytest.mark.parametrize("late_ticks", [1, 3])
+def test_calls_of_a_bus_that_begin_between_looks_are_seldom_cut(late_ticks):
+    """One in four: a look serves the longest slice. One that serves two calls cuts every third."""
+    twin = Twin(PLANE, LOADED, seed=1, threads=1)
+    tell(twin, np.random.default_rng(5))
+    twin.run(0.1 + late_ticks * TICK_S)
+    before, calls = twin._core.slices, 40
+    for _ in range(calls):
+        twin.run(10 * TICK_S)
+    assert twin._core.slices - before < 1.25 * calls
+
+
 def test_a_bound_that_is_none_finds_touches_late():
     """What the test above would see."""
     _, touches, _ = meeting(threads=1)

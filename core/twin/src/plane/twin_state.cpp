@@ -153,13 +153,13 @@ void Twin::State::run_all(Turn what) {
 }
 
 // Who touches whom now; in how many ticks the next two may is known only then. Where none may in a slice of
-// so many ticks nobody looks; else pairs that are due a little later are looked at, too.
+// so many ticks nobody looks; else all pairs are looked at that are due within the longest slice: calls of
+// run() that end slices sooner shall not make looks more frequent.
 void Twin::State::look_around(uint64_t most_ticks) {
-    // where a call of run() ends a slice, the next one as long is to be whole, too
-    const uint64_t whole = std::clamp(2 * most_ticks, sync_ticks, lone_ticks);
-    const bool touching = any_felt(), due = at_sync() && neighbours.next_due() < now + whole;
+    const uint64_t end = now + std::clamp(most_ticks, sync_ticks, lone_ticks);
+    const bool touching = any_felt(), due = at_sync() && neighbours.next_due() < end;
     if (!touching && !due) return;
-    ahead = touching ? 0 : whole - sync_ticks;
+    ahead = touching ? 0 : lone_ticks - sync_ticks;
     if (at_sync()) {
         run_all(Turn::shows);
         show_poses();
