@@ -11,7 +11,7 @@ from fiberloom.night.overhead import learned_s
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
 from fiberloom.store.nights.book import NightBook, night_of, nights
-from fiberloom.store.schema import NIGHTS
+from fiberloom.store.schema import NIGHTS, SUM
 from fiberloom.store.service.alarms import Severity
 from fiberloom.store.service.commands import CommandBook, CommandResult
 from fiberloom.store.service.history import positioner_history
@@ -126,6 +126,7 @@ def test_orders_to_a_night_and_a_positioners_alarms_come_back(book):
     found = positioner_history(book.store, 4)
     assert [(a["code"], a["night_id"]) for a in found["alarms"]] == [("collision", book.id)]
     assert (found["measurements"], found["events"], found["exclusions"]) == ([], [], [])
+    assert not {"id", SUM} & found["alarms"][0].keys()  # what only the store itself is asked for
     assert positioner_history(book.store, 5)["alarms"] == []
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Table, select
 
 from fiberloom.store.database import Store
-from fiberloom.store.schema import ALARMS, EVENTS, EXCLUSIONS, MEASUREMENTS, MOVES, VISITS
+from fiberloom.store.schema import ALARMS, EVENTS, EXCLUSIONS, MEASUREMENTS, MOVES, SUM, VISITS
 from fiberloom.store.sums import checked
 
 MEASURED = ("x_mm", "y_mm", "seen", "alpha_deg", "beta_deg", "target_id", "error_um", "status")
@@ -59,7 +59,7 @@ def _rows(store: Store, table: Table, where: Any, most: int) -> list[dict[str, A
 
 
 def _plain(row: Any) -> dict[str, Any]:
-    values = {k: v for k, v in row.items() if k not in ("id", "sum")}
+    values = {k: v for k, v in row.items() if k not in ("id", SUM)}
     return {k: v.isoformat() if isinstance(v, datetime) else v for k, v in values.items()}
 
 
