@@ -9,8 +9,6 @@ from fakes import FakeBus, LinkedBus
 
 from fiberloom.bus import Client, Command, DeviationKind, MotionWatch, Outcome, Status, WireTrajectory
 from fiberloom.bus.identifier import decode
-from fiberloom.bus.motion import _Followers
-from fiberloom.bus.outcome import Result, Results
 
 DURATION_S = 20.0
 IDS = [1, 2, 3, 4, 5, 6]
@@ -220,40 +218,6 @@ def test_one_lost_reply_hides_no_positioner():
     lost = iter([True, False])
     bus.change = lambda i, frame: [] if i.positioner == 4 and next(lost, False) else [(0.0, frame)]
     assert asyncio.run(client.discover()) == IDS
-
-
-class Asked:
-    """All that followers know of the bus."""
-
-    def __init__(self):
-        self.time_s, self.collided = 0.0, set()
-
-
-def an_answer(rng, number):
-    """Half are on their way; others are at rest, silent, cut off or refuse."""
-    outcome = rng.choice([Outcome.DONE, Outcome.TIMED_OUT, Outcome.DISCONNECTED, Outcome.REFUSED], p=ODDS)
-    bits = rng.choice([0, Status.DISPLACEMENT_COMPLETED, Status.ESTIMATED_POSITION, Status.COLLISION], p=ODDS)
-    return Result(number, outcome, None, (int(bits),) if outcome is Outcome.DONE else ())
-
-
-ODDS = (0.7, 0.1, 0.1, 0.1)
-
-
-def test_what_a_poll_shows_of_all_is_what_it_shows_of_each():
-    rng, bus, found = np.random.default_rng(0), Asked(), []
-    ways = {i: ramp(float(i)) for i in range(1, 60)}
-    together, each = (_Followers(bus, ways, 0.0) for _ in range(2))
-    together.confirmed = each.confirmed = {i for i in ways if i % 3}
-    for _ in range(25):
-        bus.time_s += rng.uniform(0.5, 1.5)
-        bus.collided |= {int(i) for i in rng.integers(1, 60, 1) if rng.random() < 0.2}
-        together.answers = each.answers = Results({i: an_answer(rng, i) for i in ways})
-        seen = together._deviations(set(ways))
-        alone = [each._deviation(i, bus.time_s) for i in ways]
-        assert seen == [deviation for deviation in alone if deviation is not None]
-        assert together.silent == each.silent
-        found += seen
-    assert {deviation.kind for deviation in found} == set(DeviationKind) - {DeviationKind.REFUSED}
 
 
 def test_stop_all_is_repeated_until_it_is_answered():

@@ -41,7 +41,6 @@ _COLLIDED = int(Status.COLLISION)
 _COMPLETED = int(Status.DISPLACEMENT_COMPLETED)
 # It has lost its supply on the way, and rests somewhere: that is no arrival.
 _LOST_WAY = int(Status.ESTIMATED_POSITION)
-_AT_REST = _COLLIDED | _COMPLETED | _LOST_WAY
 
 
 class DeviationKind(StrEnum):
@@ -223,25 +222,11 @@ class _Followers:
 
     @part("bus")
     def _early(self, ids: set[int]) -> list[int]:
-        now_s = self.elapsed_s  # one moment for all: asking the clock takes longer than the rest
-        return [i for i in ids if self._at_rest_early(i, now_s)]
+        return [i for i in ids if self._at_rest_early(i)]
 
     @part("bus")
     def _deviations(self, ids: set[int]) -> list[Deviation]:
-        now_s = self.elapsed_s
-        going = {i for i in ids if self._goes_on(i)}
-        self._known_s.update(dict.fromkeys(going, now_s))
-        for was_so in (self._told, self._silent):
-            for i in going & was_so.keys():
-                del was_so[i]
-        return [found for i in sorted(ids - going) if (found := self._deviation(i, now_s)) is not None]
-
-    def _goes_on(self, positioner: int) -> bool:
-        """Says that it is on its way: nearly all, at every poll."""
-        answer = self.answers[positioner]
-        if answer.outcome is not Outcome.DONE or answer.values[0] & _AT_REST:
-            return False
-        return positioner not in self._client.collided
+        return [found for i in sorted(ids) if (found := self._deviation(i)) is not None]
 
     def collided(self, ids: set[int]) -> list[Deviation]:
         """Those of these that have said by themselves that they collided."""
@@ -254,25 +239,25 @@ class _Followers:
         """Those that have left two polls in a row without an answer."""
         return {i for i, kind in self._told.items() if kind is DeviationKind.SILENT}
 
-    def _at_rest_early(self, positioner: int, now_s: float) -> bool:
+    def _at_rest_early(self, positioner: int) -> bool:
         answer = self.answers[positioner]
         bits = answer.values[0] if answer.ok else 0
         if not bits & (_COMPLETED | _LOST_WAY) or bits & _COLLIDED:
             return False  # nearly all, at every poll
-        return bool(bits & _LOST_WAY) or now_s < self._duration_s[positioner]
+        return bool(bits & _LOST_WAY) or self.elapsed_s < self._duration_s[positioner]
 
-    def _deviation(self, positioner: int, now_s: float) -> Deviation | None:
-        kind = self._kind(positioner, now_s)
+    def _deviation(self, positioner: int) -> Deviation | None:
+        kind = self._kind(positioner)
         before = self._told.pop(positioner, None)
         if kind is not None:
             self._told[positioner] = kind
         elif self.answers[positioner].ok:
-            self._known_s[positioner] = now_s
+            self._known_s[positioner] = self.elapsed_s
         if kind is None or kind is before:
             return None
-        return Deviation(positioner, kind, now_s, self._known_s.get(positioner, 0.0))
+        return Deviation(positioner, kind, self.elapsed_s, self._known_s.get(positioner, 0.0))
 
-    def _kind(self, positioner: int, now_s: float) -> DeviationKind | None:
+    def _kind(self, positioner: int) -> DeviationKind | None:
         answer = self.answers[positioner]
         silent = answer.outcome is Outcome.TIMED_OUT
         self._silent[positioner] = self._silent.get(positioner, 0) + 1 if silent else 0
@@ -287,7 +272,7 @@ class _Followers:
             return DeviationKind.LINK_DOWN
         if not answer.ok:  # the bootloader's status is another
             return DeviationKind.LEFT
-        if not self._at_rest_early(positioner, now_s):
+        if not self._at_rest_early(positioner):
             return None
         return DeviationKind.LEFT if positioner in self._known_s else DeviationKind.NOT_STARTED
 
