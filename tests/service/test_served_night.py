@@ -193,11 +193,13 @@ def test_a_viewer_sees_the_night_and_changes_nothing(done, array, folder, night,
             assert viewer.post(f"/api/v1/night/{path}", json=body).status_code == 403, path
 
 
-def test_a_night_that_only_begins_takes_no_orders_for_the_one_before():
+def test_a_night_that_only_begins_takes_no_orders_for_the_one_before(tmp_path):
     """It calibrates first, and has no record: a pause then went to the night before, and was lost."""
     last = SimpleNamespace(control=NightControl())
     array = SimpleNamespace(running=SimpleNamespace(name="night"), hub=None)
     night = ServedNight(array, Path("queue.toml"))
+    night._store = Store.open(tmp_path / "store.sqlite", create=True)
+    assert (night.view()["begins"], night.view()["goes_on"]) == (True, False)
     night._begun(last)
     assert (night.begins, night.goes_on) == (False, True)
     array.running = SimpleNamespace(name="night")  # the next one

@@ -50,6 +50,11 @@ def _number() -> Column[Any]:
     return _given("id", Integer, primary_key=True)
 
 
+def _process() -> tuple[Column[Any], ...]:
+    """Which process has it: one that goes on is told from one whose process is gone."""
+    return _given("host", String), _given("pid", Integer), _given("process_start", String)
+
+
 def _summed(name: str, *columns: Any) -> Table:
     """A table whose rows have a sum; none: of an older version."""
     return Table(name, TABLES, *columns, _maybe(SUM, BigInteger))
@@ -74,10 +79,7 @@ RUNS = _summed(
     _given("version", String),
     _given("status", String),  # running, finished, failed, interrupted
     _given("note", String),
-    # who is running: tells a run that goes on from one whose process was killed
-    _given("host", String),
-    _given("pid", Integer),
-    _given("process_start", String),
+    *_process(),
     _maybe("folder", String),  # of its files, from that of the store; none: of an older version
 )
 """One command that moved or measured something."""
@@ -201,9 +203,7 @@ ARRAY_STATE = _summed(
     # the owner: no token, no owner
     _given("token", String),
     _given("command", String),
-    _given("host", String),
-    _given("pid", Integer),
-    _given("process_start", String),
+    *_process(),
     _maybe("heartbeat", _TIME),
     # what another process asks of the owner
     _given("stop_asked_by", String),  # empty: nothing
@@ -239,10 +239,7 @@ NIGHTS = _summed(
     _given("command_line", String),
     _given("status", String),  # running, finished, failed, interrupted
     _given("note", String),
-    # which process has it: a night that was left is told from one that goes on
-    _given("host", String),
-    _given("pid", Integer),
-    _given("process_start", String),
+    *_process(),
 )
 """One night: a queue of fields that is worked through. Times are of the night's clock."""
 

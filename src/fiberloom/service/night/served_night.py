@@ -159,13 +159,16 @@ class ServedNight:
         return [] if book is None else open_alarms(book)
 
     def view(self) -> dict[str, Any]:
-        """The night as it is shown; before the first one the queue alone."""
+        """The night as it is shown, and whether another one begins; before the first one the queue alone."""
         runner = self._runner
         if runner is None:
-            return {"queue": self.queue_file.name, "goes_on": self.begins, "resume": self.can_resume()}
+            return {"goes_on": False} | self._about()
         rate = 1.0 if self.pace is None else self.pace.source.speed
         told = night_view(runner, self._shown_queue(runner), rate, self.goes_on)
-        return told | {"queue": self.queue_file.name, "resume": self.can_resume()}
+        return told | self._about()
+
+    def _about(self) -> dict[str, Any]:
+        return {"queue": self.queue_file.name, "begins": self.begins, "resume": self.can_resume()}
 
     # how it is done
 

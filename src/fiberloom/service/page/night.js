@@ -53,7 +53,8 @@ export function drawNight(canvas, night, paper) {
 }
 
 export function nightWords(night) {
-  if (!night.bars) return night.goes_on ? "the night begins" : `${night.queue}: not begun`;
+  if (night.begins) return "the night begins";
+  if (!night.bars) return `${night.queue}: not begun`;
   const how = night.goes_on ? (night.parked_by ? `parks, asked by ${night.parked_by}` : night.paused_by ? `paused by ${night.paused_by}` : "goes on")
     : `${night.status}${night.note ? `, ${night.note}` : ""}`;
   const next = night.goes_on ? night.next.find((step) => step.begin > night.now && step.field) : null;
@@ -73,8 +74,8 @@ function button(text, role, may, act, title = "") {
 // `ask` of the page: what each button does; `may` the role that it needs. While a night begins there is none yet
 // that could take orders.
 export function showNight(place, night, { may, begin, pause, goOn, park, skip, first, add }) {
-  const buttons = night.goes_on
-    ? !night.bars ? [] : [night.paused_by ? button("go on", "operator", may, goOn) : button("pause", "operator", may, pause, "after what is under way"),
+  const buttons = night.begins ? [] : night.goes_on
+    ? [night.paused_by ? button("go on", "operator", may, goOn) : button("pause", "operator", may, pause, "after what is under way"),
       button("park at once", "operator", may, park, "ends the night; an exposure is not cut short"),
       button("add field …", "operator", may, add, "with the target list that is chosen above")]
     : [...(night.resume ? [button("resume night", "operator", may, () => begin(true))] : []), button("begin night", "operator", may, () => begin(false))];
