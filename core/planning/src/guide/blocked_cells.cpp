@@ -79,25 +79,17 @@ FL_INLINE std::uint64_t bits_of(Int8 mask) {
 
 } // namespace
 
-BlockedCells::Kept &BlockedCells::kept(int slot, const Robot &neighbour, Cell at) {
-    if (slot >= kept_.size()) kept_.resize(slot + 1);
-    auto &of_neighbour = kept_[slot];
-    if (of_neighbour.empty()) of_neighbour.resize(neighbour.alpha().size());
-    auto &on_line = of_neighbour[at.alpha];
-    if (on_line.empty()) on_line.resize(neighbour.beta().size());
-    return on_line[at.beta];
-}
-
 BlockedLines BlockedCells::by(const Robot &me, int slot, const Robot &neighbour, Cell at, double need_mm,
                               TouchTables &tables) {
-    Kept &known = kept(slot, neighbour, at);
-    if (known.begin < 0) {
-        look_.assign((me.beta().size() + 1) * blocks_per_line(me) + at_a_time, 0);
-        const bool borders = look_up(me, neighbour, at, need_mm, tables);
-        if (!borders) look_all(me, neighbour, at, need_mm);
-        known = keep(blocks_per_line(me), borders);
-    }
-    return {known.first, known.end, blocks_.data() + known.begin};
+    const std::uint64_t place =
+        static_cast<std::uint64_t>(slot) << 32 | static_cast<std::uint32_t>(neighbour.index(at));
+    if (const Kept *known = kept_.find(place)) return lines(*known);
+    look_.assign((me.beta().size() + 1) * blocks_per_line(me) + at_a_time, 0);
+    const bool borders = look_up(me, neighbour, at, need_mm, tables);
+    if (!borders) look_all(me, neighbour, at, need_mm);
+    const Kept kept = keep(blocks_per_line(me), borders);
+    kept_.add(place, kept);
+    return lines(kept);
 }
 
 // The lines of the last look that have any, from the first to the last one.

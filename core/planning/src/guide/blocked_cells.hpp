@@ -3,6 +3,7 @@
 #pragma once
 
 #include "bodies/touch_table.hpp"
+#include "guide/key_table.hpp"
 #include "motion/robot.hpp"
 
 #include <cstdint>
@@ -34,9 +35,12 @@ class BlockedCells {
   private:
     // What is kept of a place of a neighbour.
     struct Kept {
-        int begin = -1; // in blocks_; -1: not looked at
+        int begin = 0; // in blocks_
         std::int16_t first = 0, end = 0;
     };
+    BlockedLines lines(const Kept &kept) const {
+        return {kept.first, kept.end, blocks_.data() + kept.begin};
+    }
     Kept keep(int width, bool borders);
     std::pair<int, int> used_blocks() const;
     void fill(int width, int first, int last);
@@ -80,11 +84,7 @@ class BlockedCells {
     void mark(const TouchTable &table, Vec2 elbow, TurnPart direction, CellBlock *out) const;
     void mark_borders(Directions directions, CellBlock bit, CellBlock *column) const;
 
-    Kept &kept(int slot, const Robot &neighbour, Cell at);
-
-    // For each neighbour, line of alpha and line of beta of it. Lines of alpha on which it has never been are
-    // empty.
-    List<List<List<Kept>>> kept_;
+    KeyTable<Kept> kept_; // for each neighbour and place that was looked at
     List<CellBlock> blocks_;
     List<CellBlock> look_;     // one look, a line beyond the last one and some blocks
     List<CellBlock> on_alpha_; // of one look: a line of cells in which limbs on the alpha arm touch

@@ -9,7 +9,7 @@ namespace {
 
 constexpr int step_cost = 4;       // a step of time
 constexpr int encounter_cost = 24; // a step near another positioner: worth a detour of some steps
-constexpr std::size_t first_table = 1 << 12;
+constexpr std::size_t first_places = 1 << 12; // of the nodes that are known
 
 } // namespace
 
@@ -100,19 +100,6 @@ std::uint64_t JointSearch::key(const Cells &cells, int step) const {
     return k;
 }
 
-// The place of a key in the table: that of its node, or the free one where it belongs.
-JointSearch::Slot &JointSearch::slot(std::uint64_t key) {
-    std::size_t at = (key * 0x9e3779b97f4a7c15u >> 32) & (table_.size() - 1);
-    while (table_[at].node != NodeId() && table_[at].key != key) at = (at + 1) & (table_.size() - 1);
-    return table_[at];
-}
-
-void JointSearch::grow_table() {
-    const std::vector<Slot> before = std::exchange(table_, std::vector<Slot>(2 * table_.size()));
-    for (const Slot &one : before)
-        if (one.node != NodeId()) slot(one.key) = one;
-}
-
 // The steps to go count as much again as the path so far: greedy, but a long detour does not pay.
 void JointSearch::push(NodeId node) {
     const Node &n = nodes_[node];
@@ -137,22 +124,18 @@ void JointSearch::reach(NodeId from, const Moves &moves, int cost) {
     const int step = nodes_[from].step + 1;
     if (ask_.flood != nullptr && (step > ask_.steps || !ask_.flood->holds(step, cells.of[0], cells.of[1])))
         return;
-    Slot &place = slot(key(cells, step));
-    if (place.node != NodeId()) {
-        const Node &known = nodes_[place.node];
-        if (known.closed || known.cost <= cost) return;
-    }
+    const std::uint64_t here = key(cells, step);
+    const NodeId *known = known_.find(here);
+    if (known != nullptr && (nodes_[*known].closed || nodes_[*known].cost <= cost)) return;
     // most places are known by now, and that is seen sooner than whether arms touch
     if (!apart_from_before(count() - 1, moves)) return;
     const Node reached{cells, moves, from, step, cost, false};
-    NodeId node = place.node;
-    if (node == NodeId()) {
-        node = NodeId(nodes_.size());
-        place = {key(cells, step), node};
-        nodes_.push_back(reached);
-        if (2 * static_cast<std::size_t>(nodes_.size()) > table_.size()) grow_table();
-    } else {
+    const NodeId node = known != nullptr ? *known : NodeId(nodes_.size());
+    if (known != nullptr) {
         nodes_[node] = reached;
+    } else {
+        known_.add(here, node);
+        nodes_.push_back(reached);
     }
     push(node);
 }
@@ -210,14 +193,13 @@ bool JointSearch::run(const JointRequest &request) {
     for (int k = 0; k < count(); ++k)
         past_bodies_[k] =
             &(ask_.backward ? ask_.robots[k]->steps_from_start() : ask_.robots[k]->steps_from_goal());
-    table_.assign(first_table, Slot());
+    known_.clear(first_places);
     const Cells first = ends(true), last = ends(false);
     // backward, all rest at first until the latest deadline: nodes are of cells alone, and have no waits
     const int latest = *std::max_element(ask_.deadlines.begin(), ask_.deadlines.end());
     const int first_step = ask_.backward ? ask_.steps - latest : 0;
     nodes_.push_back({first, {{stay, stay, stay}}, NodeId(), first_step, 0, false});
-    const std::uint64_t key_of_first = key(first, first_step);
-    slot(key_of_first) = {key_of_first, NodeId(0)};
+    known_.add(key(first, first_step), NodeId(0));
     push(NodeId(0));
     const int rest_from =
         ask_.flood == nullptr ? 0 : std::max(ask_.flood->rest_from(0), ask_.flood->rest_from(1));

@@ -7,6 +7,7 @@
 #pragma once
 
 #include "guide/pair_flood.hpp"
+#include "guide/key_table.hpp"
 #include "search/search.hpp"
 
 #include <cstdint>
@@ -77,13 +78,6 @@ class JointSearch {
     void combine(NodeId from, int which, Moves &moves, int cost);
     void reach(NodeId from, const Moves &moves, int cost);
     std::uint64_t key(const Cells &cells, int step) const;
-    // A node with its key; no node where it is free.
-    struct Slot {
-        std::uint64_t key = 0;
-        NodeId node;
-    };
-    Slot &slot(std::uint64_t key);
-    void grow_table();
     void push(NodeId node);
     NodeId pop();
     bool can_rest();
@@ -91,7 +85,7 @@ class JointSearch {
 
     JointRequest ask_;
     List<Node, NodeId> nodes_;
-    std::vector<Slot> table_; // open addressing
+    KeyTable<NodeId> known_;
     std::vector<std::uint64_t> queue_;
     Options options_[most];
     // Of each: steps that it still needs from each of its cells, past the bodies at rest.
