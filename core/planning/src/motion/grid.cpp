@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace fl::planning {
 namespace {
@@ -49,24 +50,25 @@ AxisGrid::AxisGrid(const GridSpan &span, double step_rad, const FineLines &fine)
     step_rad_ = step_rad;
     const double way = span.goal_rad - span.start_rad;
     const int between = static_cast<int>(std::ceil(std::abs(way) / step_rad - 1e-9));
-    lines_.push_back(span.start_rad);
-    for (int i = 1; i < between; ++i) lines_.push_back(span.start_rad + way * i / between);
-    if (way != 0.0) lines_.push_back(span.goal_rad);
+    List<double> lines{span.start_rad};
+    for (int i = 1; i < between; ++i) lines.push_back(span.start_rad + way * i / between);
+    if (way != 0.0) lines.push_back(span.goal_rad);
     const double lower = std::min(span.start_rad, span.goal_rad);
     const double upper = std::max(span.start_rad, span.goal_rad);
     const double low = std::min(span.low_rad, lower), high = std::max(span.high_rad, upper);
     const double least = narrow * step_rad;
-    add_outside(lines_, lower, step_rad, low, fine.low_rad <= low ? least / fine.parts : least);
-    add_outside(lines_, upper, step_rad, high, fine.high_rad >= high ? least / fine.parts : least);
-    std::sort(lines_.begin(), lines_.end());
-    lines_ = with_fine(lines_, span, fine);
-    start_ = find(lines_, span.start_rad);
-    goal_ = find(lines_, span.goal_rad);
+    add_outside(lines, lower, step_rad, low, fine.low_rad <= low ? least / fine.parts : least);
+    add_outside(lines, upper, step_rad, high, fine.high_rad >= high ? least / fine.parts : least);
+    std::sort(lines.begin(), lines.end());
+    lines = with_fine(lines, span, fine);
+    start_ = find(lines, span.start_rad);
+    goal_ = find(lines, span.goal_rad);
 
-    turns_.resize(lines_.size() * slots);
-    for (int line = 0; line < size(); ++line)
+    List<Turn> turns(lines.size() * slots);
+    for (int line = 0; line < lines.size(); ++line)
         for (int s = 0; s < slots; ++s)
-            turns_[line * slots + s] = fl::planning::turn(slot_angle(line, s) + span.zero_rad);
+            turns[line * slots + s] = fl::planning::turn(slot_angle(lines, line, s) + span.zero_rad);
+    lines_ = std::make_shared<const Lines>(Lines{std::move(lines), std::move(turns)});
 }
 
 bool AxisGrid::straight(int line, VelocityChange change) const {
@@ -76,14 +78,15 @@ bool AxisGrid::straight(int line, VelocityChange change) const {
 }
 
 bool AxisGrid::same_as(const AxisGrid &other) const {
-    return start_ == other.start_ && goal_ == other.goal_ && size() == other.size() &&
-           std::equal(lines_.begin(), lines_.end(), other.lines_.begin());
+    const List<double> &mine = lines_->angles_rad, &theirs = other.lines_->angles_rad;
+    return start_ == other.start_ && goal_ == other.goal_ &&
+           std::equal(mine.begin(), mine.end(), theirs.begin(), theirs.end());
 }
 
-double AxisGrid::slot_angle(int line, int slot) const {
-    const double here = angle(line);
-    const double below = angle(std::max(line - 1, 0)) - here,
-                 above = angle(std::min(line + 1, size() - 1)) - here;
+double AxisGrid::slot_angle(const List<double> &lines, int line, int slot) {
+    const double here = lines[line];
+    const double below = lines[std::max(line - 1, 0)] - here,
+                 above = lines[std::min(line + 1, lines.size() - 1)] - here;
     switch (slot) {
     case 1:
         return here + 0.5 * below;
@@ -105,7 +108,7 @@ double AxisGrid::slot_angle(int line, int slot) const {
 }
 
 double AxisGrid::angle(int line, VelocityChange change, int k) const {
-    return slot_angle(line, slot(change, k));
+    return slot_angle(lines_->angles_rad, line, slot(change, k));
 }
 
 } // namespace fl::planning

@@ -9,6 +9,8 @@
 #include "motion/index.hpp"
 #include "motion/trig.hpp"
 
+#include <memory>
+
 namespace fl::planning {
 
 // Where the axis comes from and goes to around a line: the neighbouring lines below, this one, above.
@@ -45,19 +47,19 @@ class AxisGrid {
 
     // How far the axis goes in a step at full speed.
     double step_rad() const { return step_rad_; }
-    int size() const { return lines_.size(); }
+    int size() const { return lines_->angles_rad.size(); }
     int start() const { return start_; }
     int goal() const { return goal_; }
-    double angle(int line) const { return lines_[line]; }
+    double angle(int line) const { return lines_->angles_rad[line]; }
     bool same_as(const AxisGrid &other) const;
 
     // The angle k quarters after mid-step minus two: at k = 2 the raw motion is on the line, and what is sent
     // is in the middle of the cut.
     double angle(int line, VelocityChange change, int k) const;
     const Turn &turn(int line, VelocityChange change, int k) const {
-        return turns_[line * slots + slot(change, k)];
+        return lines_->turns[line * slots + slot(change, k)];
     }
-    const Turn &turn(int line) const { return turns_[line * slots]; }
+    const Turn &turn(int line) const { return lines_->turns[line * slots]; }
     Turn turn_at(double angle_rad) const { return fl::planning::turn(angle_rad + zero_rad_); }
     // Whether the axis keeps its speed at a line.
     bool straight(int line, VelocityChange change) const;
@@ -81,10 +83,13 @@ class AxisGrid {
             return half[to];
         }
     }
-    double slot_angle(int line, int slot) const;
+    struct Lines {
+        List<double> angles_rad;
+        List<Turn> turns; // in each slot of each line
+    };
+    static double slot_angle(const List<double> &lines, int line, int slot);
 
-    List<double> lines_;
-    List<Turn> turns_;
+    std::shared_ptr<const Lines> lines_ = std::make_shared<const Lines>(); // the same in all copies
     double zero_rad_ = 0.0, step_rad_ = 0.0;
     int start_ = 0;
     int goal_ = 0;
