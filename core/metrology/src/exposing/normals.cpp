@@ -215,25 +215,24 @@ FL_CLONES void choose(std::uint64_t (*state)[lanes], Choices &out) {
         out.place[k] = (static_cast<float>(bits[k] & (places - 1)) - 0.5f * (places - 1)) / places;
 }
 
-using Float8 = float __attribute__((vector_size(32)));
-using Int8 = std::int32_t __attribute__((vector_size(32)));
-using Float8Anywhere = float __attribute__((vector_size(32), aligned(4)));
-using Double4 = double __attribute__((vector_size(32)));
+using Float4 = float __attribute__((vector_size(16)));
+using Int4 = std::int32_t __attribute__((vector_size(16)));
+using Float4Anywhere = float __attribute__((vector_size(16), aligned(4)));
+using Double2 = double __attribute__((vector_size(16)));
 
-// A part is read whole, as it lies in the table; then the means of eight are put beside each other, and the
-// widths. In this order no part leaves its half of a vector, which takes an instruction more.
+// A part is read whole, as it lies in the table; then the means of four are put beside each other, and the
+// widths. Vectors of eight would be taken to pieces where a machine has none.
 FL_CLONES void put(const Parts &table, const Choices &chosen, float *z) {
     using Whole = const double __attribute__((may_alias));
     Whole *parts = reinterpret_cast<Whole *>(table.data());
-    for (int k = 0; k < stretch_px; k += 8) {
+    for (int k = 0; k < stretch_px; k += 4) {
         const std::uint16_t *p = &chosen.part[k];
-        const Double4 first = {parts[p[0]], parts[p[1]], parts[p[4]], parts[p[5]]};
-        const Double4 second = {parts[p[2]], parts[p[3]], parts[p[6]], parts[p[7]]};
-        const Float8 a = reinterpret_cast<Float8>(first), b = reinterpret_cast<Float8>(second);
-        const Float8 mean = __builtin_shuffle(a, b, Int8{0, 2, 8, 10, 4, 6, 12, 14});
-        const Float8 width = __builtin_shuffle(a, b, Int8{1, 3, 9, 11, 5, 7, 13, 15});
-        const Float8 place = *reinterpret_cast<const Float8 *>(&chosen.place[k]);
-        *reinterpret_cast<Float8Anywhere *>(&z[k]) = mean + place * width;
+        const Double2 first = {parts[p[0]], parts[p[1]]}, second = {parts[p[2]], parts[p[3]]};
+        const Float4 a = reinterpret_cast<Float4>(first), b = reinterpret_cast<Float4>(second);
+        const Float4 mean = __builtin_shuffle(a, b, Int4{0, 2, 4, 6});
+        const Float4 width = __builtin_shuffle(a, b, Int4{1, 3, 5, 7});
+        const Float4 place = *reinterpret_cast<const Float4 *>(&chosen.place[k]);
+        *reinterpret_cast<Float4Anywhere *>(&z[k]) = mean + place * width;
     }
 }
 
