@@ -1,10 +1,10 @@
 """What is off for all fibres alike: the camera's frame, found from several fields; what a guider takes."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.table import Table
 from stars import GAUSSIAN, Conditions, drawn_field, drawn_offsets, rms
 
 import fiberloom as fl
@@ -168,6 +168,28 @@ def test_the_frame_comes_back_from_the_file(plane, frame, tmp_path):
     assert (read.radius_mm, read.covariance_um2.tolist()) == (RADIUS_MM, frame.covariance_um2.tolist())
 
 
+def changed(path, of_head):
+    """The same file with another head."""
+    table = Table.read(path)
+    table.meta |= of_head(table.meta)
+    table.write(path, overwrite=True)
+
+
+def test_a_file_of_format_1_has_the_numbers_of_the_frame_one_by_one(plane, frame, tmp_path):
+    path = tmp_path / "a.ecsv"
+    offsets_with(plane, frame).write(path, MARKS)
+    changed(path, lambda head: {"format_version": 1, "camera_frame": frame.to_meta()})
+    read = FibreOffsets.load(path).frame
+    assert read.size_um.tolist() == frame.size_um.tolist()
+    assert read.covariance_um2.tolist() == frame.covariance_um2.tolist()
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "{", "true"])
+def test_a_text_that_is_no_frame_is_refused(text):
+    with pytest.raises(InputError, match="camera frame: "):
+        FrameOffset.of_text(text)
+
+
 def test_a_file_from_before_the_terms_beyond_a_cameras_is_read(frame):
     meta = frame.to_meta()
     older = {name: meta[name] for name in ("terms", "radius_mm", "size_um", "covariance_um2")}
@@ -182,7 +204,7 @@ def test_a_file_from_before_the_terms_beyond_a_cameras_is_read(frame):
 def test_a_frame_that_was_changed_in_the_file_is_refused(plane, frame, tmp_path):
     path = tmp_path / "a.ecsv"
     offsets_with(plane, frame).write(path, MARKS)
-    path.write_text(re.sub(r"radius_mm: 425\.0", "radius_mm: 525.0", path.read_text()))
+    changed(path, lambda head: {"camera_frame": head["camera_frame"].replace("425.0", "525.0", 1)})
     with pytest.raises(InputError, match=r"a.ecsv: camera frame: its numbers are not as they were written"):
         FibreOffsets.load(path)
 

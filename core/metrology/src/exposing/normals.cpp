@@ -50,7 +50,7 @@ Middles middles() {
 }
 
 // A part of the distribution: its mean, and how wide it is.
-struct Part {
+struct alignas(8) Part {
     float mean, width;
 };
 using Parts = std::array<Part, part_count>;
@@ -175,8 +175,6 @@ float tail(int part, const TailCurves &curves, Random &random) {
     return static_cast<float>(upper ? -z : z);
 }
 
-using Word8 = std::uint64_t __attribute__((vector_size(64)));
-
 // The next 16 bits of each pixel: its part, the place in it from -1/2 to 1/2, and whether it is an outermost
 // one.
 struct Choices {
@@ -185,32 +183,57 @@ struct Choices {
     alignas(64) unsigned char outermost[stretch_px];
 };
 
-FL_CLONES void choose(std::uint64_t (*state)[8], Choices &out) {
-    Word8 s[4];
-    std::memcpy(s, state, sizeof s);
-    std::uint16_t bits[stretch_px];
-    for (int k = 0; k < stretch_px; k += 32) {
-        const Word8 sum = s[0] + s[3];
-        const Word8 word = (sum << 23 | sum >> 41) + s[0], t = s[1] << 17;
-        s[2] ^= s[0], s[3] ^= s[1], s[1] ^= s[2], s[0] ^= s[3];
-        s[2] ^= t;
-        s[3] = s[3] << 45 | s[3] >> 19;
-        std::memcpy(bits + k, &word, sizeof word);
+constexpr int lanes = Normals::lanes, words_of_lane = stretch_px / 4 / lanes;
+
+// A lane at a time, in arrays: a vector of all eight lanes is copied in halves by way of the stack where a
+// machine's vectors are shorter, and waits there for itself.
+FL_CLONES void choose(std::uint64_t (*state)[lanes], Choices &out) {
+    alignas(64) std::uint64_t words[words_of_lane][lanes];
+    for (int lane = 0; lane < lanes; ++lane) {
+        std::uint64_t s[4];
+        for (int i = 0; i < 4; ++i) s[i] = state[i][lane];
+        for (int k = 0; k < words_of_lane; ++k) {
+            const std::uint64_t sum = s[0] + s[3], t = s[1] << 17;
+            words[k][lane] = (sum << 23 | sum >> 41) + s[0];
+            s[2] ^= s[0], s[3] ^= s[1], s[1] ^= s[2], s[0] ^= s[3];
+            s[2] ^= t;
+            s[3] = s[3] << 45 | s[3] >> 19;
+        }
+        for (int i = 0; i < 4; ++i) state[i][lane] = s[i];
     }
-    std::memcpy(state, s, sizeof s);
+    using Bits = const std::uint16_t __attribute__((may_alias));
+    Bits *bits = reinterpret_cast<Bits *>(words);
     constexpr int places = 1 << place_bits;
     for (int k = 0; k < stretch_px; ++k) {
-        const int part = bits[k] >> place_bits;
-        out.part[k] = static_cast<std::uint16_t>(part);
-        out.outermost[k] =
-            static_cast<unsigned char>((part < tail_parts) | (part >= part_count - tail_parts));
+        const std::uint16_t part = static_cast<std::uint16_t>(bits[k] >> place_bits);
+        out.part[k] = part;
+        // one comparison of 16 bits: those below wrap around
+        const std::uint16_t inwards = static_cast<std::uint16_t>(part - tail_parts);
+        out.outermost[k] = inwards >= part_count - 2 * tail_parts;
     }
     for (int k = 0; k < stretch_px; ++k)
         out.place[k] = (static_cast<float>(bits[k] & (places - 1)) - 0.5f * (places - 1)) / places;
 }
 
-FL_CLONES void put(const Part *part, const float *place, float *z) {
-    for (int k = 0; k < stretch_px; ++k) z[k] = part[k].mean + place[k] * part[k].width;
+using Float4 = float __attribute__((vector_size(16)));
+using Int4 = std::int32_t __attribute__((vector_size(16)));
+using Float4Anywhere = float __attribute__((vector_size(16), aligned(4)));
+using Double2 = double __attribute__((vector_size(16)));
+
+// A part is read whole, as it lies in the table; then the means of four are put beside each other, and the
+// widths. Vectors of eight would be taken to pieces where a machine has none.
+FL_CLONES void put(const Parts &table, const Choices &chosen, float *z) {
+    using Whole = const double __attribute__((may_alias));
+    Whole *parts = reinterpret_cast<Whole *>(table.data());
+    for (int k = 0; k < stretch_px; k += 4) {
+        const std::uint16_t *p = &chosen.part[k];
+        const Double2 first = {parts[p[0]], parts[p[1]]}, second = {parts[p[2]], parts[p[3]]};
+        const Float4 a = reinterpret_cast<Float4>(first), b = reinterpret_cast<Float4>(second);
+        const Float4 mean = __builtin_shuffle(a, b, Int4{0, 2, 4, 6});
+        const Float4 width = __builtin_shuffle(a, b, Int4{1, 3, 5, 7});
+        const Float4 place = *reinterpret_cast<const Float4 *>(&chosen.place[k]);
+        *reinterpret_cast<Float4Anywhere *>(&z[k]) = mean + place * width;
+    }
 }
 
 } // namespace
@@ -237,10 +260,7 @@ void Normals::draw(float (&z)[stretch_px]) {
     static const TailCurves curves;
     Choices chosen;
     choose(state_, chosen);
-    Part parts[stretch_px];
-#pragma GCC unroll 8
-    for (int k = 0; k < stretch_px; ++k) parts[k] = table[chosen.part[k]];
-    put(parts, chosen.place, z);
+    put(table, chosen, z);
     for (int word = 0; word < stretch_px; word += 8) {
         std::uint64_t eight;
         std::memcpy(&eight, chosen.outermost + word, sizeof eight);

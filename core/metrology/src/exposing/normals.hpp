@@ -35,12 +35,12 @@ double normal(Random &random);
 // with 53 bits, so that the tails are those of the normal distribution.
 class Normals {
   public:
+    static constexpr int lanes = 8;
     explicit Normals(std::uint64_t seed);
     // The next ones.
     void draw(float (&z)[stretch_px]);
 
   private:
-    static constexpr int lanes = 8;
     alignas(64) std::uint64_t state_[4][lanes]; // of a generator in each lane, xoshiro256++
     Random tails_;
 };

@@ -78,7 +78,7 @@ class FrameOffset:
         return float(np.sqrt((self.size_um**2).sum()))
 
     def to_meta(self) -> dict[str, Any]:
-        """For the head of a file, with a sum over the numbers."""
+        """By name, with a sum over the numbers."""
         numbers = {
             "terms": list(TERMS),
             "radius_mm": self.radius_mm,
@@ -87,9 +87,24 @@ class FrameOffset:
         }
         return numbers | {"sum": _sum(numbers)}
 
+    def to_text(self) -> str:
+        """For the head of a file: JSON. As YAML its 3000 numbers take longer to read than all else of it."""
+        return json.dumps(self.to_meta())
+
     @classmethod
-    def of_meta(cls, meta: Mapping[str, Any]) -> FrameOffset:
+    def of_text(cls, text: str) -> FrameOffset:
         """Of the head of a file; InputError for one that holds nonsense."""
+        try:
+            meta = json.loads(text)
+        except ValueError as error:
+            raise InputError(f"camera frame: {error}") from None
+        return cls.of_meta(meta)
+
+    @classmethod
+    def of_meta(cls, meta: Any) -> FrameOffset:
+        """Of what `to_meta` gives; InputError for nonsense."""
+        if not isinstance(meta, Mapping):
+            raise InputError("camera frame: no table of its numbers")
         terms = meta.get("terms")
         if terms not in (list(TERMS), list(TERMS[:OF_CAMERA])):
             raise InputError(f"camera frame: its terms are not {', '.join(map(str, TERMS))}")

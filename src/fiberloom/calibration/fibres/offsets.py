@@ -23,7 +23,7 @@ from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import MM_PER_UM, UM_PER_MM
 
 FORMAT = "fiberloom fibre offsets"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _COLUMNS = (
     *("positioner_id", "fibre", "offset_x_mm", "offset_y_mm"),
     *("var_x_mm2", "cov_xy_mm2", "var_y_mm2", "lever_x_mm", "lever_y_mm", "n_fields", "reason"),
@@ -247,7 +247,7 @@ class FibreOffsets:
             *(self.positioner_id, self.fibre, *self.offset_mm.T),
             *(wide[:, 0, 0], wide[:, 0, 1], wide[:, 1, 1], *self.lever_mm.T, self.n_fields, self.reason),
         )
-        frame = {} if self.frame is None else {"camera_frame": self.frame.to_meta()}
+        frame = {} if self.frame is None else {"camera_frame": self.frame.to_text()}
         head = {"format": FORMAT, "format_version": FORMAT_VERSION, **frame, **marks}
         write_columns(Path(path), dict(zip(_COLUMNS, columns, strict=True)), head)
 
@@ -292,9 +292,8 @@ def _read(cls: type[FibreOffsets], table: TableFile) -> FibreOffsets:
 def _frame(meta: Any) -> FrameOffset | None:
     if meta is None:
         return None
-    if not isinstance(meta, dict):
-        raise InputError("camera frame: no table of its numbers")
-    return FrameOffset.of_meta(meta)
+    # files of format 1 have its numbers one by one
+    return FrameOffset.of_text(meta) if isinstance(meta, str) else FrameOffset.of_meta(meta)
 
 
 def _numbers(table: TableFile, name: str) -> Floats:
