@@ -153,7 +153,8 @@ def test_stop_reaches_an_array_whose_command_was_killed(desk, tmp_path):
         with observing(desk, tmp_path, bus, camera) as host:
             in_motion(host)
             host.kill()
-        assert np.abs(positions(bus) - positions(bus)).max() > 0.5  # they go on
+        earlier, later = positions(bus)
+        assert np.abs(later - earlier).max() > 0.5  # they go on
         code, told = stopping(bus, tmp_path)
         assert (code, told["stopped"], told["by"]) == (0, True, "own connection")
         assert f"{N} positioners have answered" in told["text"]
@@ -186,13 +187,13 @@ def on_their_way(where_deg):
 
 def at_rest(bus):
     """Wire positions (N, 2) in deg of positioners that have stopped."""
-    before, after = (positions(bus) for _ in range(2))
+    before, after = positions(bus)
     assert np.abs(before - after).max() < 0.02
     return before
 
 
 def positions(bus):
-    """Wire positions (N, 2) in deg, a second after the connection."""
+    """Wire positions (N, 2) in deg, twice, a second apart."""
     from fiberloom.blocking import finish
     from fiberloom.bus.client import Client
     from fiberloom.bus.spec import BusSpec
@@ -201,10 +202,11 @@ def positions(bus):
         client = Client(await BusSpec.parse(bus).open())
         try:
             await client.discover()
+            looks = [await client.positions_deg()]
             await client.sleep(1.0)
-            wire_deg, answered = await client.positions_deg()
-            assert answered.all()
-            return wire_deg
+            looks.append(await client.positions_deg())
+            assert all(answered.all() for _, answered in looks)
+            return [wire_deg for wire_deg, _ in looks]
         finally:
             await client.close()
 

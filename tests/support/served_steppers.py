@@ -3,7 +3,8 @@
 import asyncio
 import os
 import socket
-from contextlib import closing, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,10 +31,13 @@ SERVERS = {
 }
 
 
+# each worker of a test run begins elsewhere
+_TRIPLES = iter(range(20000 + 3 * (os.getpid() % 1000), 60000, 3))
+
+
 def free_ports():
-    """The first of three in a row that nothing listens on."""
-    # each worker of a test run begins elsewhere
-    for first in range(20000 + 3 * (os.getpid() % 1000), 60000, 3):
+    """The first of three in a row that nothing listens on, others at each call."""
+    for first in _TRIPLES:
         with suppress(OSError):
             for port in range(first, first + 3):
                 with closing(socket.socket()) as one:
@@ -86,6 +90,7 @@ def observed(plane, folder, faults="", meanwhile=None, camera=None):
     """A field by TCP. `meanwhile(server, bus)`: a coroutine that runs beside it, e.g. to hang up."""
     name = plane.instrument.name
     source = StepperSource(plane, KINDS[name], SEED, "noise", faults)
+    folder.mkdir(exist_ok=True)
     save_units(source.known, plane, folder / "units.npz")
     clock = FaultClock(source.bus, source.schedule, SEED)
     server = SERVERS[name](source.bus, Address("127.0.0.1", free_ports()), clock, SPEED)
@@ -112,11 +117,20 @@ def observed(plane, folder, faults="", meanwhile=None, camera=None):
     return Served(seen, off_um, server, source)
 
 
-def loses_nothing(plane, folder, clients, within_um):
-    """A field whose connections drop in mid-move: so many come in all, and every fibre arrives; the field."""
-    over_tcp = observed(plane, folder, meanwhile=hang_up_in_mid_move)
+@contextmanager
+def observed_at_once(plane, folder, **fields):
+    """Starts several fields, each by what `observed` takes: they wait for clocks, not for one another.
+
+    Gives a function that waits for the field of a name and returns it.
+    """
+    with ThreadPoolExecutor(len(fields)) as pool:
+        begun = {name: pool.submit(observed, plane, folder / name, **how) for name, how in fields.items()}
+        yield lambda name: begun[name].result()
+
+
+def loses_nothing(over_tcp, clients, within_um):
+    """A field whose connections dropped in mid-move: so many came in all, and every fibre arrived."""
     assigned = over_tcp.seen.assignment.target >= 0
     assert over_tcp.server.report()["clients"] == clients
     assert over_tcp.named == {}
     assert over_tcp.off_um[assigned].max() < within_um
-    return over_tcp

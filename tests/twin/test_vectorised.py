@@ -4,6 +4,7 @@ import platform
 import re
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -36,12 +37,16 @@ def compiled(source, *flags):
     return subprocess.run(command, capture_output=True, text=True, check=True)
 
 
+@cache
+def of_kernel(kernel):
+    """A kernel as its build compiles it, once for all that is looked for in it."""
+    return compiled(f"kernel/kernel_{kernel}.cpp", *options(kernel), "-fopt-info-vec-optimized")
+
+
 def vectorised_lines(kernel):
     """Lines of law_body.hpp with a loop that became vector code, once for each time it did."""
-    done = compiled(f"kernel/kernel_{kernel}.cpp", *options(kernel), "-fopt-info-vec-optimized")
-    return [
-        int(line) for line in re.findall(r"law_body\.hpp:(\d+):\d+: optimized: loop vectorized", done.stderr)
-    ]
+    said = of_kernel(kernel).stderr
+    return [int(line) for line in re.findall(r"law_body\.hpp:(\d+):\d+: optimized: loop vectorized", said)]
 
 
 def gcc():
@@ -82,7 +87,7 @@ def functions(assembly):
 @needs_gcc
 @pytest.mark.parametrize("kernel", ["baseline", "avx2", "avx512"])
 def test_no_call_is_left_inside_a_substep(kernel):
-    made = functions(compiled(f"kernel/kernel_{kernel}.cpp", *options(kernel)).stdout)
+    made = functions(of_kernel(kernel).stdout)
     within = re.compile(
         r"\d(drift|kick|push|drift_now|load_pushing|end_pushing|torque_impulse|close_gap)I?[LE]?"
     )
@@ -92,7 +97,7 @@ def test_no_call_is_left_inside_a_substep(kernel):
 @pytest.mark.slow
 @needs_gcc
 def test_the_widest_kernel_keeps_in_registers_what_moves():
-    made = functions(compiled("kernel/kernel_avx512.cpp", *options("avx512")).stdout)
+    made = functions(of_kernel("avx512").stdout)
     gliding = next(lines for name, lines in made.items() if "5glideILi4ELb0E" in name)
     products = sum("vmulps" in line for line in gliding)
     assert products > 2 * 4 * 15, "four vectors of a substep, in the loop and after it, not one of each"

@@ -14,6 +14,8 @@ from fiberloom.typing import Array, Floats
 
 _TURNS = np.linspace(0.0, math.pi, 12, endpoint=False)
 """Directions of capsules and cuts that are tried, rad."""
+_ALONG = np.array([(math.cos(turn), math.sin(turn)) for turn in _TURNS])
+_ACROSS = _ALONG[:, ::-1] * [-1.0, 1.0]
 _PARTS = np.linspace(0.1, 0.9, 7)
 _WIDTHS = 12
 _MOST_CAPSULES = 16
@@ -195,29 +197,21 @@ def _in_turn(corners: Floats) -> Floats:
 def _around(corners: Floats, sides: Floats) -> tuple[float, Floats]:
     """By how much the capsule around corners sticks out that does so least, and the capsule.
 
-    `sides` (m, 3): of the polygon, outward normals and how far the sides are from the origin.
+    `sides` (m, 3): of the polygon, outward normals and how far the sides are from the origin. Tried are
+    capsules in all of _TURNS, of many widths, with both ends of the line in the polygon: then no point is
+    farther out than where an end is nearest to a side.
     """
-    found = [_along(corners, turn, sides) for turn in _TURNS]
-    return min(found, key=lambda one: one[0])
-
-
-def _along(corners: Floats, turn_rad: float, sides: Floats) -> tuple[float, Floats]:
-    """The same of capsules in one direction, of many widths, with both ends of the line in the polygon.
-
-    Then no point is farther out than where an end is nearest to a side.
-    """
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    x, y = corners @ [c, s], corners @ [-s, c]
-    middle = 0.5 * (y.min() + y.max())
-    off = np.abs(y - middle)
-    most = math.hypot(np.ptp(x) / 2.0, off.max())
-    radii = np.linspace(off.max(), most + 1e-9, _WIDTHS)[:, None]
-    reach = np.sqrt(np.maximum(radii**2 - off**2, 0.0))
-    first, last = (x + reach).min(axis=1), (x - reach).max(axis=1)
+    x, y = ((corners @ axes[..., None])[..., 0] for axes in (_ALONG, _ACROSS))
+    middle = 0.5 * (y.min(axis=1) + y.max(axis=1))
+    off = np.abs(y - middle[:, None])
+    most = np.hypot(np.ptp(x, axis=1) / 2.0, off.max(axis=1))
+    radii = np.linspace(off.max(axis=1), most + 1e-9, _WIDTHS, axis=1)
+    reach = np.sqrt(np.maximum(radii[..., None] ** 2 - off[:, None] ** 2, 0.0))
+    first, last = (x[:, None] + reach).min(axis=2), (x[:, None] - reach).max(axis=2)
     both = np.where(first <= last, 0.0, 0.5 * (last - first))
-    first, last = first + both, last - both
-    ends = [np.stack([c * x_mm - s * middle, s * x_mm + c * middle], axis=-1) for x_mm in (first, last)]
-    out = np.maximum(*(end @ sides[:, :2].T for end in ends)) - sides[:, 2]
-    excess = np.where(out.max(axis=1) <= 1e-9, out.max(axis=1) + radii[:, 0], np.inf)
-    k = int(excess.argmin())
-    return float(excess[k]), np.array([*ends[0][k], *ends[1][k], radii[k, 0]])
+    beside = middle[:, None, None] * _ACROSS[:, None]
+    ends = [at[..., None] * _ALONG[:, None] + beside for at in (first + both, last - both)]
+    out = (np.maximum(*(end @ sides[:, :2].T for end in ends)) - sides[:, 2]).max(axis=2)
+    excess = np.where(out <= 1e-9, out + radii, np.inf)
+    best = np.unravel_index(excess.argmin(), excess.shape)
+    return float(excess[best]), np.array([*ends[0][best], *ends[1][best], radii[best]])

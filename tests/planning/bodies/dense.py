@@ -53,38 +53,55 @@ def times(plan: Plan, step_s: float = STEP_S) -> np.ndarray:
     return np.append(np.arange(0.0, plan.duration_s, step_s), plan.duration_s)
 
 
-def pair_gaps(
+Bodies = list[tuple[np.ndarray, np.ndarray]]
+"""Parts of one positioner or obstacle, each with its centre lines (T, 4)."""
+
+
+def near_bodies(
     plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray, of: int | None = None
-) -> Iterator[tuple[int, int, float]]:
-    """(row, other row or -1 - obstacle, smallest gap) of all that are near; or of those with row `of`.
+) -> Iterator[tuple[int, int, Bodies, Bodies]]:
+    """(row, other row or -1 - obstacle, bodies of both) of all that are near; or of those with row `of`.
 
     parts (P, 8) and obstacles (K, 7) as `_core.planning.Bodies` takes them.
     """
     when_s = times(plan)
     angles = [robot.at(when_s) for robot in plan.robots]
     whole = [parts[parts[:, 0] == row, 1:] for row in range(plane.n)]
-    lines = [[placed(plane, k, part, angles[k]) for part in whole[k]] for k in range(plane.n)]
-
-    def least(one, other):
-        gaps = [
-            (distances(p, q) - a[5] - b[5]).min()
-            for a, p in one
-            for b, q in other
-            if int(a[6]) & int(b[6]) and 1 in (a[0], b[0])
-        ]
-        return min(gaps, default=np.inf)
-
-    bodies = [list(zip(whole[k], lines[k], strict=True)) for k in range(plane.n)]
+    bodies = [[(part, placed(plane, k, part, angles[k])) for part in whole[k]] for k in range(plane.n)]
     still = [[(np.array([1, 0, 0, 0, 0, o[4], o[5]]), np.tile(o[:4], (len(when_s), 1)))] for o in obstacles]
     for i in range(plane.n):
         near = np.hypot(*(plane.centres_mm - plane.centres_mm[i]).T) < 60.0
         for j in np.flatnonzero(near[i + 1 :]) + i + 1:
             if of is not None and of not in (i, j):
                 continue
-            yield i, int(j), least(bodies[i], bodies[j])
+            yield i, int(j), bodies[i], bodies[j]
         for k, o in enumerate(obstacles):
             if of in (None, i) and o[6] != i and np.hypot(*(o[:2] - plane.centres_mm[i])) < 60.0:
-                yield i, -1 - k, least(bodies[i], still[k])
+                yield i, -1 - k, bodies[i], still[k]
+
+
+def least_gap(one: Bodies, other: Bodies, below: float = np.inf) -> float:
+    """The least gap of their parts on common layers, mm, if it is less than `below`; else `below`."""
+    for a, p in one:
+        for b, q in other:
+            if int(a[6]) & int(b[6]) and 1 in (a[0], b[0]) and apart_at_least(p, q) < below + a[5] + b[5]:
+                below = min(below, (distances(p, q) - a[5] - b[5]).min())
+    return below
+
+
+def apart_at_least(p: np.ndarray, q: np.ndarray) -> float:
+    """A bound below all distances of two centre lines (T, 4) that keep their lengths, by their middles."""
+    twice = [p[:, k] + p[:, k + 2] - q[:, k] - q[:, k + 2] for k in (0, 1)]
+    middles = 0.5 * np.sqrt((twice[0] ** 2 + twice[1] ** 2).min())
+    return middles - 0.5 * sum(np.hypot(*(s[0, :2] - s[0, 2:])) for s in (p, q)) - 1e-9
+
+
+def pair_gaps(
+    plane: FocalPlane, plan: Plan, parts: np.ndarray, obstacles: np.ndarray
+) -> Iterator[tuple[int, int, float]]:
+    """(row, other row or -1 - obstacle, smallest gap) of all that are near."""
+    for i, j, one, other in near_bodies(plane, plan, parts, obstacles):
+        yield i, j, least_gap(one, other)
 
 
 def smallest_gap(
@@ -92,8 +109,11 @@ def smallest_gap(
 ) -> float:
     """Of all pairs of which one moves, or of those with one row in them, mm."""
     moves = [robot.moves for robot in plan.robots]
-    found = pair_gaps(plane, plan, parts, obstacles, of)
-    return min((gap for i, j, gap in found if moves[i] or (j >= 0 and moves[j])), default=np.inf)
+    least = np.inf
+    for i, j, one, other in near_bodies(plane, plan, parts, obstacles, of):
+        if moves[i] or (j >= 0 and moves[j]):
+            least = least_gap(one, other, least)
+    return least
 
 
 def plain_table(plane: FocalPlane, radii_mm: np.ndarray) -> np.ndarray:

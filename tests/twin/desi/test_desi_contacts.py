@@ -27,6 +27,9 @@ def started(twin, tables):
 
 def crossing(first, second):
     """Whether outlines (k,) and (l,) of complex corners overlap: a corner inside, or sides that cross."""
+    for one, other in ((first.real, second.real), (first.imag, second.imag)):
+        if one.max() < other.min() or other.max() < one.min():
+            return False
     as_path = [Outline(np.column_stack([z.real, z.imag])) for z in (first, second)]
     inside = any(
         path.contains_points(np.column_stack([z.real, z.imag])).any()

@@ -171,7 +171,7 @@ def test_a_port_in_use_is_told(side, capsys):
 
 def test_a_camera_that_runs_free_and_a_dark_fibre_that_nobody_sees(instrument, tmp_path):
     """Without a camera that fault is refused; with one it acts."""
-    options = ("--camera-folder", str(tmp_path), "--camera-every", "0.2", "--faults", "dark=2")
+    options = ("--camera-folder", str(tmp_path), "--camera-every", "1", "--faults", "dark=2")
     with served(instrument, *options) as (_, doors):
         assert doors == f"camera: folder:{tmp_path}"
         host = opened(f"folder:{tmp_path}?clock=0", plane(instrument))
@@ -195,8 +195,8 @@ def test_a_fault_reaches_hosts_by_every_door(instrument, tmp_path):
 
 
 def test_faults_come_and_go_by_the_clock(instrument):
-    """Images, none, images: five seconds of ours without the fault, fifteen with it."""
-    options = ("--camera-listen", f"127.0.0.1:{free_port()}", "--faults", "camera_half@50+150")
+    """Images, none, images: three seconds of ours without the fault, eight with it."""
+    options = ("--camera-listen", f"127.0.0.1:{free_port()}", "--faults", "camera_half@30+80")
     with served(instrument, *options) as (_, doors):
         host = opened(f"{doors.removeprefix('camera: ')}?exposure=0.5", plane(instrument))
         end_s = time.monotonic() + PATIENCE_S

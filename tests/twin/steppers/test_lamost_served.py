@@ -16,29 +16,37 @@ from fiberloom.twin.server.address import Address
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.megara import MegaraBus
 from fiberloom.twin.steppers.served import RadioServer
-from support.served_steppers import SEED, free_ports, loses_nothing, observed
+from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, loses_nothing, observed_at_once
 
 N = 7
 PLANE = fl.FocalPlane.of("lamost", seed=SEED, n=N)
 
 
-def test_a_whole_field_is_observed_over_tcp(tmp_path):
-    over_tcp = observed(PLANE, tmp_path)
+@pytest.fixture(scope="module")
+def field(tmp_path_factory):
+    """Fields over TCP by name."""
+    folder = tmp_path_factory.mktemp("fields")
+    with observed_at_once(PLANE, folder, whole={}, dropped={"meanwhile": hang_up_in_mid_move}) as field:
+        yield field
+
+
+def test_a_whole_field_is_observed_over_tcp(field, tmp_path):
+    over_tcp = field("whole")
     seen, server = over_tcp.seen, over_tcp.server
     assigned = seen.assignment.target >= 0
     assert over_tcp.named == {}
     assert len(seen.summary()["moves"]) == 2
     assert over_tcp.off_um[assigned].max() < 40.0
-    field = fl.Field.twin(PLANE, seed=SEED, camera="noise")
-    within = field.run.observe(random_targets(PLANE, 3 * N, seed=1), out=tmp_path / "within")
+    here = fl.Field.twin(PLANE, seed=SEED, camera="noise")
+    within = here.run.observe(random_targets(PLANE, 3 * N, seed=1), out=tmp_path / "within")
     blind = [run.moves[0].measured_error_um[assigned] for run in (seen, within)]
     np.testing.assert_allclose(*blind, atol=0.5)  # the same units, seen by the same draw of noise
     assert server.report()["contacts"] == 0
     assert server.report()["clients"] == 1
 
 
-def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
-    loses_nothing(PLANE, tmp_path, clients=2, within_um=40.0)
+def test_a_connection_that_drops_in_mid_move_loses_nothing(field):
+    loses_nothing(field("dropped"), clients=2, within_um=40.0)
 
 
 def test_half_a_packet_of_a_lost_connection_does_not_eat_the_next_one():

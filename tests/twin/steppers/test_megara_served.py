@@ -14,14 +14,28 @@ from fiberloom.metrology.camera import NoCamera
 from fiberloom.twin.steppers.array import StepperArray
 from fiberloom.twin.steppers.megara import MegaraBus, bus_of
 from fiberloom.twin.steppers.served import RobotUnits
-from support.served_steppers import SEED, loses_nothing, observed
+from support.served_steppers import SEED, hang_up_in_mid_move, loses_nothing, observed_at_once
 
 N = 7
 PLANE = fl.FocalPlane.of("megara", seed=SEED, n=N)
 
 
-def test_a_whole_field_is_observed_over_tcp(tmp_path):
-    over_tcp = observed(PLANE, tmp_path)
+@pytest.fixture(scope="module")
+def field(tmp_path_factory):
+    """Fields over TCP by name."""
+    with observed_at_once(
+        PLANE,
+        tmp_path_factory.mktemp("fields"),
+        whole={},
+        dropped={"meanwhile": hang_up_in_mid_move},
+        without_power={"faults": "busoff=1@75"},
+        unseen={"camera": NoCamera(N)},
+    ) as field:
+        yield field
+
+
+def test_a_whole_field_is_observed_over_tcp(field):
+    over_tcp = field("whole")
     seen, off_um, server = over_tcp.seen, over_tcp.off_um, over_tcp.server
     assigned = seen.assignment.target >= 0
     assert over_tcp.named == {}
@@ -32,13 +46,14 @@ def test_a_whole_field_is_observed_over_tcp(tmp_path):
     assert server.report()["clients"] == 1
 
 
-def test_a_connection_that_drops_in_mid_move_loses_nothing(tmp_path):
-    over_tcp = loses_nothing(PLANE, tmp_path, clients=2, within_um=102.0)
+def test_a_connection_that_drops_in_mid_move_loses_nothing(field):
+    over_tcp = field("dropped")
+    loses_nothing(over_tcp, clients=2, within_um=102.0)
     assert over_tcp.server.report()["contacts"] == 0
 
 
-def test_a_bus_without_power_is_named_and_the_others_arrive(tmp_path):
-    over_tcp = observed(PLANE, tmp_path, "busoff=1@75")
+def test_a_bus_without_power_is_named_and_the_others_arrive(field):
+    over_tcp = field("without_power")
     silent = {fault.positioner_id for fault in over_tcp.source.schedule}
     assert len({bus_of(number) for number in silent}) == 1
     assert set(over_tcp.named["disconnected"]) == silent
@@ -94,8 +109,8 @@ def test_none_is_a_camera_of_blind_instruments_alone():
         open_hardware(fl.FocalPlane.of("lamost", n=3), "radio://127.0.0.1", "none")
 
 
-def test_without_a_camera_nothing_counts_as_on_target(tmp_path):
-    over_tcp = observed(PLANE, tmp_path, camera=NoCamera(N))
+def test_without_a_camera_nothing_counts_as_on_target(field):
+    over_tcp = field("unseen")
     summary = over_tcp.seen.summary()
     assert over_tcp.named == {}
     assert over_tcp.off_um[over_tcp.seen.assignment.target >= 0].max() < 102.0

@@ -16,7 +16,7 @@ from fiberloom.targets.generate import random_targets
 from fiberloom.twin.camera.noise_camera import NoiseCamera
 from fiberloom.twin.steppers.kinds import KINDS
 from fiberloom.twin.steppers.source import StepperSource
-from support.served_steppers import SEED, free_ports, loses_nothing, observed
+from support.served_steppers import SEED, free_ports, hang_up_in_mid_move, loses_nothing, observed
 
 N = 7
 
@@ -53,7 +53,8 @@ def test_a_deaf_unit_is_named_and_the_others_arrive(plane, tmp_path):
 
 
 def test_connections_that_drop_in_mid_move_lose_nothing(plane, tmp_path):
-    loses_nothing(plane, tmp_path, clients=6, within_um=30.0)  # three gateways, twice
+    over_tcp = observed(plane, tmp_path, meanwhile=hang_up_in_mid_move)
+    loses_nothing(over_tcp, clients=6, within_um=30.0)  # three gateways, twice
 
 
 def test_where_nothing_listens_it_says_where(plane):
