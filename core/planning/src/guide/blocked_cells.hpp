@@ -38,9 +38,7 @@ class BlockedCells {
         int begin = 0; // in blocks_
         std::int16_t first = 0, end = 0;
     };
-    BlockedLines lines(const Kept &kept) const {
-        return {kept.first, kept.end, blocks_.data() + kept.begin};
-    }
+    BlockedLines lines(const Kept &kept) const { return {kept.first, kept.end, blocks_.data() + kept.begin}; }
     Kept keep(int width, bool borders);
     std::pair<int, int> used_blocks() const;
     void fill(int width, int first, int last);

@@ -7,8 +7,8 @@
 namespace fl::planning {
 namespace {
 
-constexpr int step_cost = 4;       // a step of time
-constexpr int encounter_cost = 24; // a step near another positioner: worth a detour of some steps
+constexpr int step_cost = 4;                  // a step of time
+constexpr int encounter_cost = 24;            // a step near another positioner: worth a detour of some steps
 constexpr std::size_t first_places = 1 << 12; // of the nodes that are known
 
 } // namespace

@@ -6,8 +6,8 @@
 // crowded end: from the goals back in time, or from the starts. Others cost, as in the single search.
 #pragma once
 
-#include "guide/pair_flood.hpp"
 #include "guide/key_table.hpp"
+#include "guide/pair_flood.hpp"
 #include "search/search.hpp"
 
 #include <cstdint>
