@@ -2,7 +2,6 @@
 
 import csv
 import gzip
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,15 +11,8 @@ from fiberloom.metrology.transform import Distortion, fit_transform
 
 
 @pytest.fixture(scope="module")
-def folder():
-    root = Path(__file__).resolve().parents[2]
-    for parent in (root.parent, root.parent.parent):
-        found = parent / "shared" / "data" / "desi" / "desimeter"
-        if found.is_dir():
-            return found
-    pytest.skip(
-        "no ../shared/data/desi beside the checkout: spots that DESI measured are not in this repository"
-    )
+def folder(shared_desi):
+    return shared_desi / "desimeter"
 
 
 @pytest.fixture(scope="module")
