@@ -124,7 +124,7 @@ def plot_errors(
     axes.set(xlabel="error of the fibre [µm]", ylabel="fibres below [%]", ylim=(0, 101))
     set_title(axes, title, fontsize=10)
     axes.grid(True, which="both", alpha=0.25)
-    axes.legend(loc="lower right", fontsize=8)
+    axes.legend(loc="upper left", fontsize=8)  # no curve comes there: the first errors are those of few
     save(figure, path)
 
 
