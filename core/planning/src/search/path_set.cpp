@@ -84,22 +84,34 @@ void PathSet::set_steps(int steps) {
 // The path to all steps: the last one becomes one of many at rest, its second half was at rest already.
 void PathSet::fit(Member &m) const {
     m.path.resize(steps_ + 1, m.path.back());
-    m.swept.resize(steps_ + 1, m.robot.resting(m.path.back()));
-    m.circles.resize(steps_ + 1, circle_of(m.swept.back()));
+    if (m.swept.size() > steps_ + 1) {
+        m.swept.resize(steps_ + 1);
+        m.circles.resize(steps_ + 1);
+    }
+    rest_after(m, m.arrival);
+}
+
+// So that the step, and the first one after it, if there is one, have motions of their own.
+void PathSet::rest_after(Member &m, int step) const {
+    const int count = std::min(step + 2, steps_ + 1);
+    if (m.swept.size() >= count) return;
+    m.swept.resize(count, m.robot.resting(m.path.back()));
+    m.circles.resize(count, circle_of(m.swept.back()));
 }
 
 void PathSet::set_path(PathIndex i, const List<Cell> &path) {
     note(i);
     Member &m = at(i);
     m.path = path;
-    m.swept.resize(path.size());
-    m.circles.resize(path.size());
-    for (int k = 0; k < path.size(); ++k) {
+    m.arrival = last_move(path);
+    const int count = std::min(m.arrival + 2, path.size());
+    m.swept.resize(count);
+    m.circles.resize(count);
+    for (int k = 0; k < count; ++k) {
         m.swept[k] = m.robot.swept(path[k], changes_at(path, k));
         measure_displacement_bound(m.swept[k]);
         m.circles[k] = circle_of(m.swept[k]);
     }
-    m.arrival = last_move(path);
     m.presence = Presence::path;
 }
 
@@ -108,6 +120,7 @@ bool PathSet::retrace(PathIndex i, int first, const List<SweptArm> &swept) {
     if (!std::all_of(swept.begin(), swept.end(), [&](const SweptArm &s) { return clear(m, s); }))
         return false;
     SavedPath before = save(i);
+    rest_after(m, first + swept.size() - 1);
     for (int k = 0; k < swept.size(); ++k) {
         m.swept[first + k] = swept[k];
         m.circles[first + k] = circle_of(swept[k]);
@@ -126,6 +139,7 @@ void PathSet::sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&a
     });
     m.by_quarters = true;
     m.path[step] = near;
+    rest_after(m, step);
     m.swept[step] = rests ? m.robot.resting(near) : m.robot.swept(near, at);
     m.circles[step] = circle_of(m.swept[step]);
 }
@@ -139,7 +153,7 @@ bool PathSet::clear(const Member &m, const SweptArm &swept) const {
 }
 
 bool PathSet::meet_within_circles(const Member &p, const Member &q, int step) const {
-    const SweptArm &one = p.swept[step], &other = q.swept[step];
+    const SweptArm &one = p.swept[p.moving(step)], &other = q.swept[q.moving(step)];
     if (stay_apart(one, other, need_mm_)) return false;
     if (!p.by_quarters && !q.by_quarters) return true;
     for (int k = 0; k < quarters; ++k)
@@ -178,7 +192,7 @@ void PathSet::free_rooms() {
 }
 
 PathSet::Seen PathSet::seen_at(const Member &m, int step) const {
-    if (m.presence == Presence::path) return {&m.swept[step], m.path[step]};
+    if (m.presence == Presence::path) return {&m.swept[m.moving(step)], m.path[step]};
     if (m.presence == Presence::absent) return {};
     const int wait = std::clamp(m.deadline - m.robot.travel_steps(), 1, waiting_steps);
     if (step < wait) return {&m.at_start, m.robot.start()};
@@ -211,7 +225,7 @@ void PathSet::gather_one(const Member &me, int slot, MovingObstacles &moving) co
     const bool has_path = them.presence == Presence::path;
     const int rests_from = has_path ? them.arrival + 1 : steps_;
     for (int step = 0; step <= std::min(rests_from, steps_); ++step) {
-        if (has_path && beyond_reach(me.robot, them.circles[step])) continue;
+        if (has_path && beyond_reach(me.robot, them.circles[them.moving(step)])) continue;
         const Seen seen = seen_at(them, step);
         if (seen.swept == nullptr) continue;
         const int last = step == rests_from ? steps_ : step;
@@ -375,8 +389,9 @@ Circle PathSet::circle_of(const SweptArm &swept) const {
 }
 
 int PathSet::steps_in_conflict(const Member &p, const Member &q) const {
-    int count = 0;
-    for (int k = 0; k < p.swept.size(); ++k)
+    const int last = std::max(p.swept.size(), q.swept.size()) - 1; // from here on both rest
+    int count = meet(p, q, last) ? steps_ + 1 - last : 0;
+    for (int k = 0; k < last; ++k)
         if (meet(p, q, k)) ++count;
     return count;
 }

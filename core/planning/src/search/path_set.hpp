@@ -41,7 +41,7 @@ struct Member {
     Robot robot;
     List<PathIndex> neighbours; // nearest first
     List<Cell> path;            // the cell at each step
-    List<SweptArm> swept;       // the motion of each step
+    List<SweptArm> swept;       // the motion of each step, down to the first one of rest: see moving
     List<Circle> circles;       // around each of them
     int arrival = 0;            // the last step in which it moves
     List<PathConflict> conflicts;
@@ -56,6 +56,9 @@ struct Member {
     List<PathIndex> in_vain;                 // for each repair around a conflict of lateness alone: with whom
     int tries = 0;         // repairs around it since the last one that helped, or since it got more time
     int joint_in_vain = 0; // joint searches around it since the last repair that helped
+
+    // Of a step, its place in `swept` and `circles`: after the last one it rests as in that.
+    int moving(int step) const { return std::min(step, swept.size() - 1); }
 };
 
 // How a path is sought.
@@ -115,7 +118,7 @@ class PathSet {
     // kept in hand and what bulges then counts in those quarters alone in which it moves.
     void sweep_otherwise(PathIndex i, int step, Cell near, const Angles (&at)[quarters + 1]);
     // Whether it stays clear of all bodies at rest in a step.
-    bool clear(PathIndex i, int step) const { return clear(at(i), at(i).swept[step]); }
+    bool clear(PathIndex i, int step) const { return clear(at(i), at(i).swept[at(i).moving(step)]); }
     // Whether two come too near in a step.
     bool meet(PathIndex i, PathIndex j, int step) const { return meet(at(i), at(j), step); }
     void keep_still(PathIndex i);
@@ -188,6 +191,7 @@ class PathSet {
     void note(PathIndex i);
     void note_before(List<SavedPath> &last);
     void fit(Member &m) const;
+    void rest_after(Member &m, int step) const;
     Circle circle_of(const SweptArm &swept) const;
     // Whether they come too near.
     static bool circles_touch(const Circle &p, const Circle &q) {
@@ -197,7 +201,8 @@ class PathSet {
     }
     bool clear(const Member &m, const SweptArm &swept) const;
     bool meet(const Member &p, const Member &q, int step) const {
-        return circles_touch(p.circles[step], q.circles[step]) && meet_within_circles(p, q, step);
+        return circles_touch(p.circles[p.moving(step)], q.circles[q.moving(step)]) &&
+               meet_within_circles(p, q, step);
     }
     bool meet_within_circles(const Member &p, const Member &q, int step) const;
     int steps_in_conflict(const Member &p, const Member &q) const;
