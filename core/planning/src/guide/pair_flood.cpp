@@ -166,7 +166,10 @@ bool PairFlood::lay_out_within(int steps) {
         latest_ -= fewer_steps;
         words = lay_out(steps);
     }
-    if (words_.size() < words) words_.resize(static_cast<int>(words));
+    if (room_ < words) {
+        words_ = std::make_unique_for_overwrite<std::uint64_t[]>(static_cast<std::size_t>(words));
+        room_ = words;
+    }
     return words > 0;
 }
 
@@ -199,7 +202,7 @@ FL_CLONES void PairFlood::spread_second(const Layer &from, const Layer &to) {
     const int lines = to.second.lines(), from_lines = from.second.lines();
     if (spread_.size() < cells * lines) spread_.resize(cells * lines);
     for (int cell = 0; cell < cells; ++cell)
-        spread_lines(words_.data() + from.begin + cell * from_lines, from.second.beta, from.second.end_beta,
+        spread_lines(words_.get() + from.begin + cell * from_lines, from.second.beta, from.second.end_beta,
                      spread_.data() + cell * lines, to.second.beta, to.second.end_beta);
 }
 
@@ -236,7 +239,7 @@ FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
     for (int beta = to.first.beta; beta < to.first.end_beta; ++beta)
         for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
             const Cell c{alpha, beta};
-            std::uint64_t *out = words_.data() + to.begin + to.first.place(c) * lines;
+            std::uint64_t *out = words_.get() + to.begin + to.first.place(c) * lines;
             if (!sides_[0].free(c, step)) {
                 std::fill(out, out + lines, 0);
                 continue;
@@ -256,7 +259,7 @@ bool PairFlood::run(int steps, const Touching &touching) {
     const Layer &last = layers_[steps];
     const Cell p = sides_[0].goal(), q = sides_[1].goal();
     if (!sides_[0].free(p, steps) || !sides_[1].free(q, steps)) return false;
-    words_[static_cast<int>(last.begin)] = std::uint64_t{1} << (q.alpha - sides_[1].first_alpha());
+    words_[last.begin] = std::uint64_t{1} << (q.alpha - sides_[1].first_alpha());
     for (int step = steps - 1; step >= 0; --step)
         if (!step_back(step, touching)) return false;
     return holds(0, sides_[0].start(), sides_[1].start());
@@ -267,7 +270,7 @@ bool PairFlood::holds(int step, Cell first, Cell second) const {
     if (!layer.first.holds(first) || !layer.second.holds(second)) return false;
     const std::int64_t at =
         layer.begin + layer.first.place(first) * layer.second.lines() + second.beta - layer.second.beta;
-    return (words_[static_cast<int>(at)] >> (second.alpha - sides_[1].first_alpha()) & 1) != 0;
+    return (words_[at] >> (second.alpha - sides_[1].first_alpha()) & 1) != 0;
 }
 
 int PairFlood::rest_from(int which) const {

@@ -13,6 +13,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <functional>
+#include <memory>
 
 namespace fl::planning {
 
@@ -103,7 +104,8 @@ class PairFlood {
     FloodSide sides_[2];
     int latest_ = 0;     // neither has more time than this
     List<Layer> layers_; // of each step
-    List<std::uint64_t> words_;
+    std::unique_ptr<std::uint64_t[]> words_; // of a layer once it is stepped back to: most are never read
+    std::int64_t room_ = 0;                  // for so many words
     List<std::uint64_t> spread_, wide_; // a step back: by moves of the second one; and by alpha of the first
     List<std::uint64_t> free_;          // lines of the second one at a step
     List<std::uint64_t> apart_;         // lines of the second one for each cell of the first, once asked for
