@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
 
 namespace fl::planning {
 namespace {
@@ -14,67 +15,61 @@ constexpr int fewer_steps = 4; // by which there is less time, until there is ro
 // there twice.
 struct Beside {
     const std::uint64_t *below, *here, *above;
-
-    // words: of the cell at `first`, of so many cells. at: a cell in them or next to them; pitch: from one to
-    // the next, in words.
-    Beside(const std::uint64_t *words, int first, int end, int at, int pitch)
-        : below(words + (std::max(at - 1, first) - first) * pitch),
-          here(words + (std::clamp(at, first, end - 1) - first) * pitch),
-          above(words + (std::min(at + 1, end - 1) - first) * pitch) {}
 };
 
+// words: of the cell at `first`, of so many cells. at: a cell in them or next to them; pitch: from one to the
+// next, in words.
+FL_INLINE Beside beside(const std::uint64_t *words, int first, int end, int at, int pitch) {
+    return {words + (std::max(at - 1, first) - first) * pitch,
+            words + (std::clamp(at, first, end - 1) - first) * pitch,
+            words + (std::min(at + 1, end - 1) - first) * pitch};
+}
+
+using Words = std::uint64_t __attribute__((vector_size(8 * words_at_once)));
+FL_INLINE Words load(const std::uint64_t *p) {
+    Words v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+FL_INLINE void store(std::uint64_t *p, Words v) { std::memcpy(p, &v, sizeof v); }
+FL_INLINE Words joined(const Beside &from, int k) {
+    return load(from.below + k) | load(from.here + k) | load(from.above + k);
+}
+FL_INLINE bool any_of(Words v) { return (v[0] | v[1] | v[2] | v[3]) != 0; }
+
 // All of them in one.
-FL_INLINE void join(const Beside &from, int count, std::uint64_t *__restrict out) {
-    const std::uint64_t *__restrict below = from.below, *__restrict here = from.here,
-                                    *__restrict above = from.above;
-    for (int k = 0; k < count; ++k) out[k] = below[k] | here[k] | above[k];
+FL_INLINE void join(const Beside &from, int count, std::uint64_t *out) {
+    for (int k = 0; k < count; k += words_at_once) store(out + k, joined(from, k));
 }
 
 // Of these those that are free; whether there are any.
-FL_INLINE bool join_free(const Beside &from, const std::uint64_t *__restrict free, int count,
-                         std::uint64_t *__restrict out) {
-    const std::uint64_t *__restrict below = from.below, *__restrict here = from.here,
-                                    *__restrict above = from.above;
-    std::uint64_t any = 0;
-    for (int k = 0; k < count; ++k) {
-        out[k] = (below[k] | here[k] | above[k]) & free[k];
-        any |= out[k];
+FL_INLINE bool join_free(const Beside &from, const std::uint64_t *free, int count, std::uint64_t *out) {
+    Words any{};
+    for (int k = 0; k < count; k += words_at_once) {
+        const Words left = joined(from, k) & load(free + k);
+        store(out + k, left);
+        any |= left;
     }
-    return any != 0;
-}
-
-// Each bit, and those beside it.
-FL_INLINE std::uint64_t with_beside(std::uint64_t word) { return word | word << 1 | word >> 1; }
-
-// A line and those beside it, of those that there are.
-FL_INLINE std::uint64_t around_line(const std::uint64_t *from, int first, int end, int beta) {
-    std::uint64_t word = 0;
-    for (int b = std::max(beta - 1, first); b <= std::min(beta + 1, end - 1); ++b) word |= from[b - first];
-    return with_beside(word);
-}
-
-// Of all lines, those beside them included, to lines that may begin and end one earlier or later. Lines
-// between two others, which are most, are taken several at once.
-FL_INLINE void spread_lines(const std::uint64_t *__restrict from, int from_first, int from_end,
-                            std::uint64_t *__restrict out, int first, int end) {
-    const int low = std::clamp(from_first + 1, first, end), high = std::clamp(from_end - 1, low, end);
-    for (int beta = first; beta < low; ++beta)
-        out[beta - first] = around_line(from, from_first, from_end, beta);
-    const std::uint64_t *__restrict here = from + (low - from_first);
-    std::uint64_t *__restrict to = out + (low - first);
-    for (int k = 0; k < high - low; ++k) to[k] = with_beside(here[k - 1] | here[k] | here[k + 1]);
-    for (int beta = high; beta < end; ++beta)
-        out[beta - first] = around_line(from, from_first, from_end, beta);
+    return any_of(any);
 }
 
 // Of some words what is apart; whether any is left.
-FL_INLINE bool keep_apart(const std::uint64_t *__restrict apart, int count, std::uint64_t *__restrict out) {
-    std::uint64_t any = 0;
-    for (int k = 0; k < count; ++k) {
-        out[k] &= apart[k];
-        any |= out[k];
+FL_INLINE bool keep_apart(const std::uint64_t *apart, int count, std::uint64_t *out) {
+    Words any{};
+    for (int k = 0; k < count; k += words_at_once) {
+        const Words left = load(out + k) & load(apart + k);
+        store(out + k, left);
+        any |= left;
     }
-    return any != 0;
+    return any_of(any);
+}
+
+// Each bit, those beside it, and those on the lines beside it.
+FL_INLINE void spread_lines(const std::uint64_t *from, int count, std::uint64_t *out) {
+    for (int k = 0; k < count; k += words_at_once) {
+        const Words lines = joined({from + k - 1, from + k, from + k + 1}, 0);
+        store(out + k, lines | lines << 1 | lines >> 1);
+    }
 }
 
 // Of those of alpha that are kept: around its way.
@@ -121,7 +116,8 @@ std::uint64_t FloodSide::word(const CellBlock *line) const {
 
 std::uint64_t FloodSide::around(Cell end, int beta) const {
     if (std::abs(beta - end.beta) > 1) return 0;
-    return with_beside(std::uint64_t{1} << (end.alpha - first_alpha_));
+    const std::uint64_t here = std::uint64_t{1} << (end.alpha - first_alpha_);
+    return here | here << 1 | here >> 1;
 }
 
 void FloodSide::block(int step, const BlockedLines &cells, bool at_end) {
@@ -147,15 +143,16 @@ PairFlood::Box PairFlood::box(const FloodSide &side, int step) const {
 // The words of all layers; 0 if one cannot arrive in time even alone.
 std::int64_t PairFlood::lay_out(int steps) {
     layers_.clear();
-    std::int64_t begin = 0;
+    std::int64_t begin = beyond, words = 0; // words before the first cell are read
     for (int step = 0; step <= steps; ++step) {
         const Layer layer{box(sides_[0], step), box(sides_[1], step), begin};
         for (const Box &one : {layer.first, layer.second})
             if (one.width() <= 0 || one.lines() <= 0) return 0;
-        begin += layer.words();
+        begin += layer.room();
+        words += layer.words();
         layers_.push_back(layer);
     }
-    return begin;
+    return words;
 }
 
 // False if one cannot arrive in time even alone.
@@ -166,19 +163,22 @@ bool PairFlood::lay_out_within(int steps) {
         latest_ -= fewer_steps;
         words = lay_out(steps);
     }
-    if (room_ < words) {
-        words_ = std::make_unique_for_overwrite<std::uint64_t[]>(static_cast<std::size_t>(words));
-        room_ = words;
+    if (words == 0) return false;
+    if (const std::int64_t room = layers_.back().begin + layers_.back().room() + beyond; room_ < room) {
+        words_ = std::make_unique_for_overwrite<std::uint64_t[]>(static_cast<std::size_t>(room));
+        room_ = room;
     }
-    return words > 0;
+    return true;
 }
 
 // Where both are at an end, or next to it.
 void PairFlood::keep_ends_apart(Cell first, int at) {
     const FloodSide &one = sides_[0], &second = sides_[1];
     for (int beta = 0; beta < second.betas(); ++beta) {
-        if (FloodSide::around(first, one.start())) apart_[at + beta] |= second.around(second.start(), beta);
-        if (FloodSide::around(first, one.goal())) apart_[at + beta] |= second.around(second.goal(), beta);
+        if (FloodSide::around(first, one.start()))
+            apart_[at + beyond + beta] |= second.around(second.start(), beta);
+        if (FloodSide::around(first, one.goal()))
+            apart_[at + beyond + beta] |= second.around(second.goal(), beta);
     }
 }
 
@@ -187,35 +187,24 @@ const std::uint64_t *PairFlood::apart_from(Cell first, const Touching &touching)
     int &at = apart_at_[first.beta * FloodSide::most_alphas + first.alpha - sides_[0].first_alpha()];
     if (at < 0) {
         at = apart_.size();
-        apart_.resize(at + second.betas(), ~std::uint64_t{0});
+        apart_.resize(at + pitch_of(second.betas()) + words_at_once, ~std::uint64_t{0});
         const BlockedLines cells = touching(first);
         for (int beta = cells.first; beta < cells.end; ++beta)
-            apart_[at + beta] = ~second.word(cells.bits + (beta - cells.first) * second.blocks());
+            apart_[at + beyond + beta] = ~second.word(cells.bits + (beta - cells.first) * second.blocks());
         keep_ends_apart(first, at);
     }
     return apart_.data() + at;
 }
 
-// From each cell of the first one by all moves of the second.
-FL_CLONES void PairFlood::spread_second(const Layer &from, const Layer &to) {
-    const int cells = from.first.width() * from.first.lines();
-    const int lines = to.second.lines(), from_lines = from.second.lines();
-    if (spread_.size() < cells * lines) spread_.resize(cells * lines);
+// From a line of beta of the first one by all moves of the second, then by all moves of alpha of the first.
+FL_INLINE void PairFlood::spread_row(const Layer &from, const Layer &to, int beta, std::uint64_t *out) {
+    const int pitch = to.pitch(), from_pitch = from.pitch(), cells = from.first.width();
+    const std::uint64_t *here = words_.get() + from.begin + (beta - from.first.beta) * cells * from_pitch +
+                                to.second.beta - from.second.beta;
     for (int cell = 0; cell < cells; ++cell)
-        spread_lines(words_.get() + from.begin + cell * from_lines, from.second.beta, from.second.end_beta,
-                     spread_.data() + cell * lines, to.second.beta, to.second.end_beta);
-}
-
-// Then by all moves of alpha of the first one, line by line of its beta.
-FL_CLONES void PairFlood::spread_alpha(const Layer &from, const Layer &to) {
-    const int lines = to.second.lines(), rows = from.first.lines();
-    if (const int words = rows * to.first.width() * lines; wide_.size() < words) wide_.resize(words);
-    std::uint64_t *out = wide_.data();
-    for (int row = 0; row < rows; ++row) {
-        const std::uint64_t *in_row = spread_.data() + row * from.first.width() * lines;
-        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha, out += lines)
-            join({in_row, from.first.alpha, from.first.end_alpha, alpha, lines}, lines, out);
-    }
+        spread_lines(here + cell * from_pitch, pitch, spread_.data() + cell * pitch);
+    for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha, out += pitch)
+        join(beside(spread_.data(), from.first.alpha, from.first.end_alpha, alpha, pitch), pitch, out);
 }
 
 // Lines of the second one at a step: cells in its box in which nothing is in its way.
@@ -223,32 +212,39 @@ void PairFlood::list_free(int step, const Box &box) {
     const std::uint64_t inside =
         (box.width() >= 64 ? ~std::uint64_t{0} : (std::uint64_t{1} << box.width()) - 1)
         << (box.alpha - sides_[1].first_alpha());
-    free_.clear();
+    free_.assign(pitch_of(box.lines()), 0);
     for (int beta = box.beta; beta < box.end_beta; ++beta)
-        free_.push_back(inside & sides_[1].free(beta, step));
+        free_[beyond + beta - box.beta] = inside & sides_[1].free(beta, step);
 }
 
-// False if there are no cells left.
+// Line by line of beta of the first one: no more than three that are spread are needed at once, which stay
+// near at hand. False if there are no cells left.
 FL_CLONES bool PairFlood::step_back(int step, const Touching &touching) {
     const Layer &from = layers_[step + 1], &to = layers_[step];
-    spread_second(from, to);
-    spread_alpha(from, to);
     list_free(step, to.second);
-    const int lines = to.second.lines(), width = to.first.width() * lines;
+    const int pitch = to.pitch(), row = to.first.width() * pitch;
+    if (const int words = from.first.width() * pitch; spread_.size() < words) spread_.resize(words);
+    if (wide_.size() < rows_at_hand * row) wide_.resize(rows_at_hand * row);
+    const auto wide = [&](int beta) {
+        const int there = std::clamp(beta, from.first.beta, from.first.end_beta - 1);
+        return wide_.data() + there % rows_at_hand * row;
+    };
+    std::uint64_t *out = words_.get() + to.begin;
     bool any = false;
-    for (int beta = to.first.beta; beta < to.first.end_beta; ++beta)
-        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha) {
+    int spread = std::max(to.first.beta - 1, from.first.beta); // the next line
+    for (int beta = to.first.beta; beta < to.first.end_beta; ++beta) {
+        for (; spread < std::min(beta + 2, from.first.end_beta); ++spread)
+            spread_row(from, to, spread, wide(spread));
+        Beside rows{wide(beta - 1), wide(beta), wide(beta + 1)};
+        for (int alpha = to.first.alpha; alpha < to.first.end_alpha; ++alpha, out += pitch) {
             const Cell c{alpha, beta};
-            std::uint64_t *out = words_.get() + to.begin + to.first.place(c) * lines;
-            if (!sides_[0].free(c, step)) {
-                std::fill(out, out + lines, 0);
-                continue;
-            }
-            const Beside beside(wide_.data() + (alpha - to.first.alpha) * lines, from.first.beta,
-                                from.first.end_beta, beta, width);
-            if (join_free(beside, free_.data(), lines, out))
-                any |= keep_apart(apart_from(c, touching) + to.second.beta, lines, out);
+            if (!sides_[0].free(c, step))
+                std::fill(out, out + pitch, 0);
+            else if (join_free(rows, free_.data(), pitch, out))
+                any |= keep_apart(apart_from(c, touching) + to.second.beta, pitch, out);
+            rows = {rows.below + pitch, rows.here + pitch, rows.above + pitch};
         }
+    }
     return any;
 }
 
@@ -259,7 +255,8 @@ bool PairFlood::run(int steps, const Touching &touching) {
     const Layer &last = layers_[steps];
     const Cell p = sides_[0].goal(), q = sides_[1].goal();
     if (!sides_[0].free(p, steps) || !sides_[1].free(q, steps)) return false;
-    words_[last.begin] = std::uint64_t{1} << (q.alpha - sides_[1].first_alpha());
+    std::fill_n(words_.get() + last.begin, last.room(), 0);
+    words_[last.begin + beyond] = std::uint64_t{1} << (q.alpha - sides_[1].first_alpha());
     for (int step = steps - 1; step >= 0; --step)
         if (!step_back(step, touching)) return false;
     return holds(0, sides_[0].start(), sides_[1].start());
@@ -269,7 +266,7 @@ bool PairFlood::holds(int step, Cell first, Cell second) const {
     const Layer &layer = layers_[step];
     if (!layer.first.holds(first) || !layer.second.holds(second)) return false;
     const std::int64_t at =
-        layer.begin + layer.first.place(first) * layer.second.lines() + second.beta - layer.second.beta;
+        layer.begin + layer.first.place(first) * layer.pitch() + beyond + second.beta - layer.second.beta;
     return (words_[at] >> (second.alpha - sides_[1].first_alpha()) & 1) != 0;
 }
 

@@ -56,6 +56,8 @@ class FloodSide {
     List<std::uint64_t> busy_;       // of each step, of each line of beta
 };
 
+inline constexpr int words_at_once = 4; // that are stepped back
+
 class PairFlood {
   public:
     FloodSide &side(int which) { return sides_[which]; }
@@ -70,6 +72,7 @@ class PairFlood {
     int rest_from(int which) const;
 
   private:
+    static constexpr int rows_at_hand = 4;                 // that are spread
     static constexpr std::int64_t most_words = 16'000'000; // 128 MB
 
     // Lines of both axes, the ends not among them.
@@ -83,33 +86,39 @@ class PairFlood {
         }
     };
     // Of a step: the cells at which each may be. A word for each cell of the first one and each line of beta
-    // of the second, from begin on.
+    // of the second, from begin on; so many more before and after these, which are 0, that lines beside the
+    // first and the last can be read, and all words taken so many at once.
+    static constexpr int beyond = 2; // words
+    static int pitch_of(int lines) {
+        return (lines + 2 * beyond + words_at_once - 1) / words_at_once * words_at_once;
+    }
     struct Layer {
         Box first, second;
         std::int64_t begin = 0;
-        std::int64_t words() const {
-            return static_cast<std::int64_t>(first.width()) * first.lines() * second.lines();
-        }
+        std::int64_t cells() const { return static_cast<std::int64_t>(first.width()) * first.lines(); }
+        std::int64_t words() const { return cells() * second.lines(); }
+        int pitch() const { return pitch_of(second.lines()); }
+        std::int64_t room() const { return cells() * pitch(); }
     };
     Box box(const FloodSide &side, int step) const;
     std::int64_t lay_out(int steps);
     bool lay_out_within(int steps);
     void keep_ends_apart(Cell first, int at);
     const std::uint64_t *apart_from(Cell first, const Touching &touching);
-    void spread_second(const Layer &from, const Layer &to);
-    void spread_alpha(const Layer &from, const Layer &to);
+    void spread_row(const Layer &from, const Layer &to, int beta, std::uint64_t *out);
     void list_free(int step, const Box &box);
     bool step_back(int step, const Touching &touching);
 
     FloodSide sides_[2];
-    int latest_ = 0;     // neither has more time than this
-    List<Layer> layers_; // of each step
+    int latest_ = 0;                         // neither has more time than this
+    List<Layer> layers_;                     // of each step
     std::unique_ptr<std::uint64_t[]> words_; // of a layer once it is stepped back to: most are never read
     std::int64_t room_ = 0;                  // for so many words
-    List<std::uint64_t> spread_, wide_; // a step back: by moves of the second one; and by alpha of the first
-    List<std::uint64_t> free_;          // lines of the second one at a step
-    List<std::uint64_t> apart_;         // lines of the second one for each cell of the first, once asked for
-    List<int> apart_at_;                // where they begin; -1: not asked for
+    // A step back, of lines of beta of the first one: by moves of the second one; and by alpha of the first.
+    List<std::uint64_t> spread_, wide_;
+    List<std::uint64_t> free_;  // lines of the second one at a step
+    List<std::uint64_t> apart_; // lines of the second one for each cell of the first, once asked for
+    List<int> apart_at_;        // where they begin; -1: not asked for
 };
 
 } // namespace fl::planning
