@@ -22,7 +22,8 @@ constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 100
                        most_work_of_a_plan = 8000000, work_of_a_step_less = 100000;
 constexpr int usual_robots = 500;
 // The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
-// if it is far too late, each time that all that was in vain, and so often in the end.
+// if it is far too late, each time that all that was in vain, and so often in the end: then of a share that
+// is smaller where there are more positioners, as there is more work for one knot.
 constexpr int share_before_all = 10, share_in_the_end = 14, grows_in_the_end = 2;
 constexpr std::int64_t most_work_of_growing = 4500000;
 // What these take, in states that a search looks at.
@@ -114,7 +115,7 @@ bool Repair::earlier_in_the_end(PathIndex last, int wanted_steps, int far) {
         attempts_.work_in_the_end += work() - before;
         if (done || (share_in_the_end * behind > far && grow(last, far))) return true;
     } while (may_start_again(behind) && !enough());
-    for (int k = 0; k < grows_in_the_end && share_in_the_end * behind > far; ++k)
+    for (int k = 0; k < grows_in_the_end && share_in_the_end * behind > of_usual(far); ++k)
         if (grow(last, far)) return true;
     return false;
 }
