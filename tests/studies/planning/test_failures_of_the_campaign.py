@@ -172,6 +172,16 @@ def test_knots_that_grow_again(seed, buffer_mm, most):
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
+# Of 2000 positioners, where knots grew from 1.29 of the bound on, as of 500: 1.241.
+def test_of_many_positioners_a_knot_grows_sooner_in_the_end():
+    plane = pairs.array_of("hexagon 2000")
+    ends_deg = pairs.ends_of(plane, 2, 2.0)
+    made = pairs.made_of(plane, ends_deg, 2.0, 2)
+    assert made.plan.refused == {}
+    assert made.found.ok
+    assert made.plan.duration_s < 1.2 * bound_s(plane, *ends_deg)
+
+
 # With waits of whole steps, and knots that grew but once: 1.302 and 1.422.
 @pytest.mark.parametrize(("seed", "buffer_mm", "most"), [(309, 2.0, 1.3), (348, 3.0, 1.4)])
 def test_waits_along_a_chain_are_no_longer_than_they_need(seed, buffer_mm, most):
