@@ -42,10 +42,10 @@ def run(*words, **how):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built from this checkout by this Python; objects are kept in build/wheel for the next time."""
+    """Built from this checkout by this Python, of the objects that `make setup` has compiled, if it has."""
     out = tmp_path_factory.mktemp("wheel")
     # the short form of this option is not in the pip of Debian 12
-    where = "--config-settings=build-dir=build/wheel/{wheel_tag}"
+    where = "--config-settings=build-dir=build/{wheel_tag}"
     words = ("--no-deps", "--no-build-isolation", where, "-w", out)
     run(sys.executable, "-m", "pip", "wheel", ROOT, "--quiet", "--disable-pip-version-check", *words)
     (made,) = out.glob("*.whl")
