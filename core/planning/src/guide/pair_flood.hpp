@@ -112,7 +112,7 @@ class PairFlood {
     FloodSide sides_[2];
     int latest_ = 0;                         // neither has more time than this
     List<Layer> layers_;                     // of each step
-    std::unique_ptr<std::uint64_t[]> words_; // of a layer once it is stepped back to: most are never read
+    std::unique_ptr<std::uint64_t[]> words_; // of a layer once it is stepped back to
     std::int64_t room_ = 0;                  // for so many words
     // A step back, of lines of beta of the first one: by moves of the second one; and by alpha of the first.
     List<std::uint64_t> spread_, wide_;
