@@ -19,7 +19,7 @@ constexpr int least_around = 2, most_around = 6; // of the neighbours near by, t
 // nothing where the plan has taken much already. A step less is found soon, or not. Of 500; of more
 // positioners as much more.
 constexpr std::int64_t work_per_step_behind = 300000, most_work_in_the_end = 1000000,
-                       most_work_of_a_plan = 8000000, work_of_a_step_less = 100000;
+                       most_work_of_a_plan = 8000000, work_of_a_step_less = 100000, work_when_near = 60000;
 constexpr int usual_robots = 500;
 // The knot of one that is behind by more than a share of `far` grows from the last one alone: before all that
 // if it is far too late, each time that all that was in vain, and so often in the end: then of a share that
@@ -55,13 +55,25 @@ void Repair::hurry(int wanted_steps) {
         if (arrival <= wanted_steps) return;
         if (arrival > low[last]) {
             const int deadline = (low[last] + arrival) / 2;
-            if (!squeeze(last, deadline, hurry_rounds)) low[last] = deadline + 1;
+            if (!hurry_by_half(last, deadline, arrival <= far)) low[last] = deadline + 1;
         } else {
             if (!earlier_in_the_end(last, wanted_steps, far)) return;
             // near enough, single steps come sooner than all halves between
             low[last] = 4 * arrival > 5 * far ? far : arrival > far ? paths_.arrival(last) : wanted_steps;
         }
     }
+}
+
+// By an earlier deadline. One that is near enough gets little work for that: what succeeds does so soon. Of
+// 40 plans of 500 at 2.0 mm what failed took a fifth of all work.
+bool Repair::hurry_by_half(PathIndex last, int deadline, bool near) {
+    if (!near) return squeeze(last, deadline, hurry_rounds);
+    most_work_ = work() + work_when_near;
+    singly_ = true;
+    const bool done = squeeze(last, deadline, hurry_rounds);
+    singly_ = false;
+    most_work_ = unlimited;
+    return done;
 }
 
 // A step less, with more repairs.

@@ -23,8 +23,7 @@ constexpr int most_states = 1000; // of one search in a repair: another group is
 // is not worth the search.
 constexpr Mode tidying{false, 0, 200, 0};
 constexpr Mode guided{false, 0, 0, 0};
-constexpr int tidy_enough = 12; // cost above the least: three corners are not worth a search ...
-constexpr int tidy_excess = 60; // ... and these two
+constexpr int tidy_enough = 24; // cost above the least: six corners are not worth a search
 // Of the speed of an axis: each is two points on the bus, where an axis shall have no more than 40.
 constexpr int many_changes = 13;
 // Of the repairs around a pair, one is a joint search; where a knot grows, and few are there, more of them.
@@ -329,7 +328,7 @@ bool Repair::has_time(Pair pair) const {
 
 void Repair::round(Pair pair) {
     const int every = alone_ ? joint_every_alone : joint_every;
-    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % every == every - 1;
+    const bool joint = joint_left_ > 0 && !singly_ && has_time(pair) && tries(pair) % every == every - 1;
     if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);
@@ -462,12 +461,6 @@ void Repair::tidy() {
         if (enough()) return;
         tidy_one(i, costs);
         settings_.watch("straightening paths", i.value() + 1, paths_.size());
-    }
-    // those that still take a detour may have room now that the others are tidy
-    for (int k = paths_.size() - 1; k >= 0; --k) {
-        const Member &member = paths_.at(PathIndex(k));
-        if (path_cost(member, costs) > least_cost(member.robot, costs) + tidy_excess)
-            tidy_one(PathIndex(k), costs);
     }
     spare_corners();
 }
