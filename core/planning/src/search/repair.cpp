@@ -328,7 +328,7 @@ bool Repair::has_time(Pair pair) const {
 
 void Repair::round(Pair pair) {
     const int every = alone_ ? joint_every_alone : joint_every;
-    const bool joint = joint_left_ > 0 && !singly_ && has_time(pair) && tries(pair) % every == every - 1;
+    const bool joint = joint_left_ > 0 && has_time(pair) && tries(pair) % every == every - 1;
     if (joint && !paths_.only_late(pair.first, pair.second)) return joint_round(pair);
     Group group = choose(pair);
     const int most = affordable(group);

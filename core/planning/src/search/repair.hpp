@@ -159,7 +159,6 @@ class Repair {
     static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
     std::int64_t most_work_ = unlimited; // beyond which repairs end
     int vain_share_ = 1;                 // over this, repairs are made in vain
-    bool singly_ = false;                // no repair is a joint search
     // A knot grows: few are there, and joint searches are of two alone and keep to a flood where they can.
     bool alone_ = false;
     bool parts_two_ = false; // such a knot is one of two that resist, and not of the last to arrive
