@@ -23,6 +23,8 @@ constexpr std::int64_t work_of_growing = 800000;
 constexpr int times_from_here = 3, repairs_in_time = 60, repairs_in_the_end = 40, repairs_alone = 12,
               most_failures = 2;
 constexpr std::int64_t work_in_time = 200000, work_of_a_beginning = 300000, work_alone = 400000;
+// Two alone, if a flood shows their ways: nodes of a search that keeps to it, and how many may be in vain.
+constexpr int nodes_of_two = 32000, most_failures_of_two = 2;
 // For all others to come back: how often those go round that are in the way, beyond how many pairs more are
 // of no use, repairs and work.
 constexpr int times_round = 2, most_pairs_of_a_return = 3, repairs_of_a_return = 40;
@@ -240,10 +242,37 @@ bool Repair::hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::in
     return done;
 }
 
+// Two of which a flood shows the ways, all others absent: whether they have paths by a deadline.
+bool Repair::seek_two(const List<PathIndex> &two, int deadline) {
+    for (const PathIndex i : two) paths_.at(i).deadline = deadline;
+    ++floods_;
+    if (!paths_.seek_pair(two, nodes_of_two, joint_)) return false;
+    for (int k = 0; k < two.size(); ++k) paths_.set_path(two[k], joint_.path(k));
+    for (const PathIndex i : two) paths_.count_conflicts(i);
+    return true;
+}
+
+// The same before a step: as early as they wish or, by halves, as can be. Repairs would only ask for the same
+// ways again.
+bool Repair::part_two_in_time(const List<PathIndex> &two, const Growth &wish) {
+    if (wish.wanted_steps < wish.step - 1 && seek_two(two, wish.wanted_steps)) return true;
+    if (!seek_two(two, wish.step - 1)) return false;
+    for (int low = wish.wanted_steps + 1, failed = 0; failed < most_failures_of_two && !enough();) {
+        const int arrival = paths_.arrival(last_of(two));
+        if (arrival <= low) return true;
+        const int deadline = (low + arrival) / 2;
+        if (seek_two(two, deadline)) continue;
+        low = deadline + 1;
+        ++failed;
+    }
+    return true;
+}
+
 // A knot, all others absent: whether its paths do not conflict, and all end before a step. It tries that a
 // few times from the paths that they have, which is soon seen; then those that have joined it last, or all,
 // begin anew.
 bool Repair::part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish) {
+    if (knot.size() == 2 && paths_.can_flood(knot)) return part_two_in_time(knot, wish);
     const int from_here = knot.size() == 1 ? 0 : times_from_here;
     for (int k = 0; k <= from_here && (k == 0 || !enough()); ++k) {
         const std::int64_t most_work = work() + work_alone;

@@ -116,6 +116,8 @@ class Repair {
     bool begin_alone(const List<PathIndex> &knot, const List<PathIndex> &some, int wanted_steps);
     void hurry_by_halves(const List<PathIndex> &knot, int wanted_steps, std::int64_t most_work);
     bool hurry_knot(const List<PathIndex> &knot, const Growth &wish, std::int64_t most_work);
+    bool seek_two(const List<PathIndex> &two, int deadline);
+    bool part_two_in_time(const List<PathIndex> &two, const Growth &wish);
     bool part_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
     bool part_two_alone(const List<PathIndex> &knot, const List<PathIndex> &joined, const Growth &wish);
     void go_round(const List<PathIndex> &knot);
