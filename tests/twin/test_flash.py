@@ -55,7 +55,7 @@ int main() {
 """
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="apt-get install g++")
+@pytest.mark.skipif(not shutil.which("g++"), reason="apt-get install g++: a program is built")
 def test_flash_reads_like_plain_memory_and_holds_what_differs(tmp_path):
     (tmp_path / "flash.cpp").write_text(AGAINST_PLAIN_MEMORY)
     firmware = [folder for folder in (ROOT / "firmware").rglob("*") if folder.is_dir()]

@@ -172,8 +172,7 @@ def test_knots_that_grow_again(seed, buffer_mm, most):
     check_whole_pair(seed, buffer_mm, set(), most)
 
 
-# Of two that lock each other at their goals, all others absent, repairs found no ways in time. Before a joint
-# search alone sought them: 1.270 and 1.164.
+# Before two alone were parted by one joint search: 1.270 and 1.164.
 @pytest.mark.parametrize(("seed", "of_search", "most"), [(932, 2932, 1.2), (898, 898, 1.1)])
 def test_two_alone_in_a_knot_that_grows_are_parted_by_a_joint_search(seed, of_search, most):
     check_whole_pair(seed, 2.0, set(), most, of_search)

@@ -30,7 +30,7 @@ int main() {
 """
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="apt-get install g++")
+@pytest.mark.skipif(not shutil.which("g++"), reason="apt-get install g++: a program is built")
 def test_one_wait_is_not_told_of_the_ticks_after_it(tmp_path):
     (tmp_path / "late.cpp").write_text(LATE_TICKS)
     program = tmp_path / "late"

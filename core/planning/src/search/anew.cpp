@@ -23,8 +23,7 @@ constexpr std::int64_t work_of_growing = 800000;
 constexpr int times_from_here = 3, repairs_in_time = 60, repairs_in_the_end = 40, repairs_alone = 12,
               most_failures = 2;
 constexpr std::int64_t work_in_time = 200000, work_of_a_beginning = 300000, work_alone = 400000;
-// Two alone, if a flood shows their ways: nodes of a search that keeps to it, and how many may be in vain.
-constexpr int nodes_of_two = 32000, most_failures_of_two = 2;
+constexpr int nodes_of_two = 32000; // of a search of two alone that keeps to a flood
 // For all others to come back: how often those go round that are in the way, beyond how many pairs more are
 // of no use, repairs and work.
 constexpr int times_round = 2, most_pairs_of_a_return = 3, repairs_of_a_return = 40;
@@ -247,24 +246,16 @@ bool Repair::seek_two(const List<PathIndex> &two, int deadline) {
     for (const PathIndex i : two) paths_.at(i).deadline = deadline;
     ++floods_;
     if (!paths_.seek_pair(two, nodes_of_two, joint_)) return false;
-    for (int k = 0; k < two.size(); ++k) paths_.set_path(two[k], joint_.path(k));
-    for (const PathIndex i : two) paths_.count_conflicts(i);
+    set_joint(two);
     return true;
 }
 
-// The same before a step: as early as they wish or, by halves, as can be. Repairs would only ask for the same
-// ways again.
+// The same before a step: as early as is wished for, or as repairs then come to. To part them repairs would
+// only ask for the same ways again.
 bool Repair::part_two_in_time(const List<PathIndex> &two, const Growth &wish) {
     if (wish.wanted_steps < wish.step - 1 && seek_two(two, wish.wanted_steps)) return true;
     if (!seek_two(two, wish.step - 1)) return false;
-    for (int low = wish.wanted_steps + 1, failed = 0; failed < most_failures_of_two && !enough();) {
-        const int arrival = paths_.arrival(last_of(two));
-        if (arrival <= low) return true;
-        const int deadline = (low + arrival) / 2;
-        if (seek_two(two, deadline)) continue;
-        low = deadline + 1;
-        ++failed;
-    }
+    hurry_by_halves(two, wish.wanted_steps, work() + work_alone);
     return true;
 }
 

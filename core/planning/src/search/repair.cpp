@@ -361,14 +361,18 @@ List<PathIndex> Repair::choose_joint(Pair pair) {
     return joint;
 }
 
-// Gives the positioners of a joint search the paths that it found, and adds to the group those with which
-// these conflict.
-void Repair::set_joint(const List<PathIndex> &joint, Group &group) {
+// Gives the positioners of a joint search the paths that it found.
+void Repair::set_joint(const List<PathIndex> &joint) {
     for (int k = 0; k < joint.size(); ++k) {
         paths_.set_path(joint[k], joint_.path(k));
         paths_.at(joint[k]).still = false;
     }
     for (const PathIndex i : joint) paths_.count_conflicts(i);
+}
+
+// The same, and adds to the group those with which these conflict.
+void Repair::set_joint(const List<PathIndex> &joint, Group &group) {
+    set_joint(joint);
     for (const PathIndex i : joint)
         for (const PathConflict &c : paths_.at(i).conflicts)
             if (!group.members.contains(c.other)) group.members.push_back(c.other);

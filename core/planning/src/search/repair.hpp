@@ -60,6 +60,7 @@ class Repair {
     int joint_nodes(const List<PathIndex> &joint) const;
     List<PathIndex> choose_joint(Pair pair);
     List<PathIndex> drawn_in(const List<PathIndex> &joint, Group &group);
+    void set_joint(const List<PathIndex> &joint);
     void set_joint(const List<PathIndex> &joint, Group &group);
     PathIndex near_one_of(Pair pair, int among);
     Group choose(Pair pair);
