@@ -12,6 +12,7 @@ from fiberloom.instruments.model import BODY_SHARE
 from fiberloom.planning import (
     MotionLimits,
     Plan,
+    PlanSettings,
     Trajectory,
     UntangleSettings,
     plan,
@@ -208,7 +209,8 @@ def test_where_nothing_overlaps_it_is_an_ordinary_plan():
     found = untangle(plane, start, seed=3)
     (stage,) = found.stages
     assert found.overlaps == {}
-    assert stage.plan.to_json() == plan(plane, start, plane.park_deg, seed=3).to_json()
+    settings = PlanSettings(effort=untangling._EFFORT)
+    assert stage.plan.to_json() == plan(plane, start, plane.park_deg, seed=3, settings=settings).to_json()
 
 
 def test_the_same_seed_gives_the_same_stages():

@@ -64,6 +64,7 @@ class Planner {
     void keep_ways(PathSet &&paths);
     void take_over(PathSet &paths) const;
     bool refine(PositionerIndex i, PositionerIndex j);
+    bool make_way(const PathSet &paths);
     bool spend(const PathSet &paths);
     void give_up(const PathSet &paths);
     bool send_elsewhere(const PathSet &paths);
@@ -210,7 +211,7 @@ bool Planner::find_paths() {
             give_up_locked(paths, repair.locked());
         } else {
             ++round_;
-            if (!spend(paths)) give_up(paths);
+            if (!make_way(paths) && !spend(paths)) give_up(paths);
         }
         if (!trial) keep_ways(std::move(paths));
     }
@@ -237,6 +238,17 @@ bool Planner::refine(PositionerIndex i, PositionerIndex j) {
     const bool first = goals_.refine(i), second = goals_.refine(j);
     trial_ |= goals_.finer_at_ends(i) || goals_.finer_at_ends(j);
     return first || second;
+}
+
+// Those that do not arrive, but would leave their start and come back to it, and still conflict go to another
+// place: before another loses its goal for one that has lost its own. Whether there are any.
+bool Planner::make_way(const PathSet &paths) {
+    if (statistics_.cut_short) return false;
+    bool any = false;
+    for (const PathIndex m : paths.places())
+        if (!paths.at(m).conflicts.empty()) any |= goals_.go_elsewhere(positioner_of_[m]);
+    if (any) goals_.settle();
+    return any;
 }
 
 // Where pairs still conflict, they and those around them try it with nothing in hand; false: they have.

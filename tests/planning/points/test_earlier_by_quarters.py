@@ -110,7 +110,7 @@ def test_an_arm_that_waits_for_another_just_passes_it():
 def test_an_axis_that_turns_back_rests_for_a_quarter_of_a_step_at_least():
     """On its path it rests for half of a step."""
     *_, made = made_of(19, 28)
-    assert made.statistics["quarters_earlier"] == 5
+    assert made.statistics["quarters_earlier"] == 6
     assert min(rests_before_reversals_s(made)) == pytest.approx(quarter_s(made))
 
 

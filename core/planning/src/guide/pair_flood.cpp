@@ -72,22 +72,40 @@ FL_INLINE void spread_lines(const std::uint64_t *from, int count, std::uint64_t 
     }
 }
 
-// Of those of alpha that are kept: around its way.
-int first_line(const Robot &robot) {
-    const int all = robot.alpha().size(), middle = (robot.start().alpha + robot.goal().alpha) / 2;
-    const int kept = std::min(all, FloodSide::most_alphas);
-    return std::clamp(middle - FloodSide::most_alphas / 2, 0, all - kept);
+// Whether a grid has so many lines of alpha that those that are kept are chosen by where it can come to.
+bool is_fine(const Robot &robot) { return robot.alpha().size() > FloodSide::most_alphas + 1; }
+
+// Whether it can come to its goal from a line of alpha, past the bodies at rest.
+bool comes_from(Robot &robot, int alpha) {
+    const List<int> &from_goal = robot.steps_from_goal();
+    for (int beta = 0; beta < robot.beta().size(); ++beta)
+        if (from_goal[robot.index({alpha, beta})] >= 0) return true;
+    return false;
+}
+
+// Of those of alpha that are kept: around its way, or, of a fine grid, from the first one that it can come
+// to.
+int first_line(Robot &robot) {
+    const int all = robot.alpha().size(), last = all - std::min(all, FloodSide::most_alphas);
+    if (!is_fine(robot))
+        return std::clamp((robot.start().alpha + robot.goal().alpha - FloodSide::most_alphas) / 2, 0, last);
+    int first = 0;
+    while (first < last && !comes_from(robot, first)) ++first;
+    return first;
 }
 
 } // namespace
 
-bool FloodSide::holds(const Robot &robot) {
-    const int first = first_line(robot);
-    const auto kept = [&](Cell c) { return c.alpha >= first && c.alpha < first + most_alphas; };
-    return robot.alpha().size() <= most_alphas + 1 && kept(robot.start()) && kept(robot.goal());
+bool FloodSide::holds(Robot &robot) {
+    const int first = first_line(robot), end = first + most_alphas;
+    const auto kept = [&](Cell c) { return c.alpha >= first && c.alpha < end; };
+    if (!kept(robot.start()) || !kept(robot.goal())) return false;
+    for (int alpha = end; is_fine(robot) && alpha < robot.alpha().size(); ++alpha)
+        if (comes_from(robot, alpha)) return false;
+    return true;
 }
 
-void FloodSide::begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal) {
+void FloodSide::begin(Robot &robot, int deadline, int steps) {
     start_ = robot.start(), goal_ = robot.goal();
     deadline_ = deadline;
     betas_ = robot.beta().size();
@@ -96,6 +114,7 @@ void FloodSide::begin(const Robot &robot, int deadline, int steps, const List<in
     first_alpha_ = first_line(robot);
     busy_.assign((steps + 1) * betas_, 0);
     still_free_.assign(betas_, 0);
+    const List<int> &from_goal = robot.steps_from_goal();
     for (int beta = 0; beta < betas_; ++beta)
         for (int k = 0; k < alphas_; ++k)
             if (from_goal[robot.index({first_alpha_ + k, beta})] >= 0)

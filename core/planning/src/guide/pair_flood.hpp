@@ -20,13 +20,13 @@ namespace fl::planning {
 // One of the two.
 class FloodSide {
   public:
-    static constexpr int most_alphas = 64; // lines, a bit each; of more, those far from its way are left out
+    static constexpr int most_alphas = 64; // lines, a bit each; of more, some are left out
 
-    // Whether its ends are among the lines that are kept, and few others are left out.
-    static bool holds(const Robot &robot);
+    // Whether its ends are among the lines that are kept, and few others are left out: of a fine grid none
+    // that it can come to, as in a pocket.
+    static bool holds(Robot &robot);
 
-    // from_goal: steps past the bodies at rest, of each cell.
-    void begin(const Robot &robot, int deadline, int steps, const List<int> &from_goal);
+    void begin(Robot &robot, int deadline, int steps);
     // Others are in the way of these cells at a step. at_end: they rest where they begin or end; starts and
     // goals keep clear of each other though they may be nearer than a flood takes for clear.
     void block(int step, const BlockedLines &cells, bool at_end);

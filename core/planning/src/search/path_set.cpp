@@ -300,7 +300,7 @@ bool PathSet::seek_joint(const List<PathIndex> &group, bool backward, int most_n
 // One of two, among those around it.
 void PathSet::begin_flood(int which, Member &member) {
     FloodSide &side = flood_.side(which);
-    side.begin(member.robot, member.deadline, steps_, member.robot.steps_from_goal());
+    side.begin(member.robot, member.deadline, steps_);
     for (const auto &visit : joint_moving_[which].visits()) {
         const Robot &them = at(member.neighbours[visit.slot]).robot;
         const bool at_end = visit.cell == them.start() || visit.cell == them.goal();
@@ -310,7 +310,7 @@ void PathSet::begin_flood(int which, Member &member) {
     }
 }
 
-bool PathSet::can_flood(const List<PathIndex> &pair) const {
+bool PathSet::can_flood(const List<PathIndex> &pair) {
     return std::all_of(pair.begin(), pair.end(),
                        [this](PathIndex i) { return FloodSide::holds(at(i).robot); });
 }

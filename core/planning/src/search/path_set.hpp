@@ -106,8 +106,8 @@ class PathSet {
     bool seek(PathIndex i, const Costs &costs, int give_up, Mode mode, Search &search);
     // Seeks paths of two or three at once; sets none of them.
     bool seek_joint(const List<PathIndex> &group, bool backward, int most_nodes, JointSearch &search);
-    // Whether the grids of both are coarse enough for a flood of all their cells.
-    bool can_flood(const List<PathIndex> &pair) const;
+    // Whether a flood holds the lines that both can come to.
+    bool can_flood(const List<PathIndex> &pair);
     // Two at once, by such a flood; no others are met. False if there is no way.
     bool seek_pair(const List<PathIndex> &pair, int most_nodes, JointSearch &search);
     void set_path(PathIndex i, const List<Cell> &path);

@@ -14,10 +14,11 @@ constexpr int least_affordable = 4; // steps in conflict
 // Of a joint search of two; twice as many after each one in vain: what it takes is not known before. Of three
 // as many as the second one of two. All of a round together take about half a second at
 // most, and as much when paths are hurried.
-constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 2;
+constexpr int least_joint_nodes = 8000, most_doublings = 3, joint_of_two = 4;
 constexpr int flood_nodes = 16000;      // of a search that keeps to a flood ...
 constexpr int nodes_of_a_flood = 8000;  // ... which takes as long as one of so many
 constexpr int flood_nodes_alone = 4000; // where a knot grows, which may begin otherwise
+constexpr int always_flooded = 30;      // repairs in vain, in which all joint searches of two keep to a flood
 constexpr int most_states = 1000; // of one search in a repair: another group is tried rather than all ways
 // Without a first look for a path that nothing is in the way of. A straighter path is found soon, or its gain
 // is not worth the search.
@@ -40,6 +41,13 @@ constexpr std::int64_t least_vain = 1000000, vain_per_robot = 2000;
 // nine slow plans of 500 at 2.5 and 3.0 mm: no knot that came undone took more than 452.
 constexpr int least_repairs_in_vain = 1000, repairs_in_vain_per_pair = 100;
 constexpr int repairs_before_a_proof = 100;
+// Of a group, besides the two that resist: at most so many before some repairs around these were in vain, and
+// after all of them. A small group is planned soon, and most pairs come apart in one.
+struct GroupSize {
+    int tries, others;
+};
+constexpr GroupSize small_groups[] = {{2, 2}, {5, 4}};
+constexpr int others_of_a_group = 6;
 constexpr int last_rounds = 40;       // repairs that are made even when there is no time left
 constexpr int single_steps = 16;      // by which a first deadline grows, before it grows faster
 constexpr int longest_first_path = 3; // times all steps: who has no path by then has none
@@ -144,8 +152,8 @@ int Repair::most_repairs_in_vain() const {
 }
 
 // Where repairs are in vain for a while it is looked whether two lock each other: then more are of no use.
-void Repair::find_locked(int in_vain) {
-    if (in_vain != repairs_before_a_proof || last_steps_ == 0 || most_work_ != unlimited) return;
+void Repair::find_locked() {
+    if (in_vain_ != repairs_before_a_proof || last_steps_ == 0 || most_work_ != unlimited) return;
     for (const Pair pair : pairs())
         if (lock_(pair.first, pair.second)) locked_.push_back(pair);
 }
@@ -156,10 +164,10 @@ bool Repair::enough() { return statistics_.cut_short = statistics_.cut_short || 
 bool Repair::rounds(int most) {
     int fewest = paths_.conflicts();
     std::int64_t since = expansions();
-    int in_vain = 0; // repairs
+    in_vain_ = 0;
     for (int k = 0; k < most && expansions() - since < most_in_vain(); ++k) {
-        if (in_vain++ > most_repairs_in_vain() / vain_share_) break;
-        find_locked(in_vain);
+        if (in_vain_++ > most_repairs_in_vain() / vain_share_) break;
+        find_locked();
         if (!locked_.empty()) break;
         if ((enough() && k >= last_rounds) || work() > most_work_) break;
         const auto all = pairs();
@@ -169,7 +177,7 @@ bool Repair::rounds(int most) {
         if (paths_.conflicts() < fewest) {
             fewest = paths_.conflicts();
             since = expansions();
-            in_vain = 0;
+            in_vain_ = 0;
         }
         const int most_at_once = std::max(statistics_.first_conflicts, paths_.conflicts());
         settings_.watch("parting paths that meet", most_at_once - paths_.conflicts(), most_at_once);
@@ -183,9 +191,15 @@ PathIndex Repair::near_one_of(Pair pair, int among) {
     return near[random_.below(std::min(near.size(), among))];
 }
 
+int Repair::most_others(Pair pair) const {
+    for (const GroupSize &size : small_groups)
+        if (tries(pair) < size.tries) return size.others;
+    return others_of_a_group;
+}
+
 Repair::Group Repair::choose(Pair pair) {
     Group group{{pair.first, pair.second}, {}, 0};
-    for (int more = random_.below(7); more > 0; --more) {
+    for (int more = random_.below(most_others(pair) + 1); more > 0; --more) {
         const PathIndex pick = near_one_of(pair, near_by);
         if (is_there(pick) && !group.members.contains(pick)) group.members.push_back(pick);
     }
@@ -361,6 +375,14 @@ List<PathIndex> Repair::choose_joint(Pair pair) {
     return joint;
 }
 
+// Whether a joint search of these keeps to a flood. That sees arms nearer than they are: where it finds no
+// way for long, every other search does without.
+bool Repair::shall_flood(const List<PathIndex> &joint) {
+    if (joint.size() > 2) return false;
+    const bool always = alone_ || last_steps_ == 0 || in_vain_ <= always_flooded;
+    return (always || random_.chance(50)) && paths_.can_flood(joint);
+}
+
 // Gives the positioners of a joint search the paths that it found.
 void Repair::set_joint(const List<PathIndex> &joint) {
     for (int k = 0; k < joint.size(); ++k) {
@@ -400,8 +422,7 @@ void Repair::joint_round(Pair pair) {
     forget_paths(group.members);
     const int most_nodes = joint_nodes(joint);
     for (const PathIndex i : {pair.first, pair.second}) ++paths_.at(i).joint_in_vain;
-    const bool by_flood =
-        joint.size() == 2 && (alone_ || last_steps_ == 0 || random_.chance(50)) && paths_.can_flood(joint);
+    const bool by_flood = shall_flood(joint);
     floods_ += by_flood;
     const bool found =
         by_flood ? paths_.seek_pair(joint, alone_ && !parts_two_ ? flood_nodes_alone : flood_nodes, joint_)

@@ -59,10 +59,12 @@ class Repair {
     int joint_in_vain(Pair pair) const;
     int joint_nodes(const List<PathIndex> &joint) const;
     List<PathIndex> choose_joint(Pair pair);
+    bool shall_flood(const List<PathIndex> &joint);
     List<PathIndex> drawn_in(const List<PathIndex> &joint, Group &group);
     void set_joint(const List<PathIndex> &joint);
     void set_joint(const List<PathIndex> &joint, Group &group);
     PathIndex near_one_of(Pair pair, int among);
+    int most_others(Pair pair) const;
     Group choose(Pair pair);
     void save(Group &group) const;
     int affordable(const Group &group) const;
@@ -131,7 +133,7 @@ class Repair {
     std::int64_t work() const;
     PathIndex last_to_arrive() const;
     bool rounds(int most);
-    void find_locked(int in_vain);
+    void find_locked();
     bool enough();
     std::int64_t most_in_vain() const;
     int most_repairs_in_vain() const;
@@ -159,6 +161,7 @@ class Repair {
     } attempts_;
     int joint_left_ = 0; // nodes that joint searches may still look at
     std::int64_t floods_ = 0;
+    int in_vain_ = 0; // repairs since fewer paths met
     static constexpr std::int64_t unlimited = std::int64_t{1} << 62;
     std::int64_t most_work_ = unlimited; // beyond which repairs end
     int vain_share_ = 1;                 // over this, repairs are made in vain
