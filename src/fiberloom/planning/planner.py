@@ -1,5 +1,6 @@
 """Plans whole fields and small corrections; what leaves here has passed the verifier."""
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fiberloom._core import planning as core
+from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES
 from fiberloom.planning.bodies import (
@@ -56,6 +58,55 @@ def _silent(stage: str, done: int, total: int) -> None:
 
 
 @dataclass(frozen=True)
+class _Range:
+    """From `least` to `most`, both included; `above`: a number above `least` alone."""
+
+    unit: str
+    least: float = 0.0
+    most: float = math.inf
+    above: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether it is a number, finite and inside."""
+        return math.isfinite(value) and (
+            value > self.least if self.above else self.least <= value <= self.most
+        )
+
+    def __str__(self) -> str:
+        kind = f"a finite number{self.unit and ' of ' + self.unit}"
+        if self.above:
+            return f"{kind} above {self.least:g}"
+        return f"{kind} from {self.least:g} {'on' if self.most == math.inf else f'to {self.most:g}'}"
+
+
+RANGES: Mapping[str, _Range] = {
+    "speed_deg_s": _Range("deg/s", above=True),
+    "acceleration_deg_s2": _Range("deg/s^2", above=True),
+    "collision_buffer_mm": _Range("mm", above=True),
+    # a knot gets grids four times as fine, with as many more steps: sixty-four times the cells in time
+    "grid_deg": _Range("deg", least=2.0, most=30.0),
+    "clearance_mm": _Range("mm"),
+    "in_hand_mm": _Range("mm"),
+    "first_deadline": _Range("", least=1.0),
+    "last_deadline": _Range("", least=1.0),
+    "effort": _Range(""),
+    "least_approach_deg": _Range("deg"),
+    "approach_turns": _Range("turns", least=1),
+    "most_points": _Range("points", least=4),
+    "budget_s": _Range("s"),
+}
+"""Numbers of `PlanSettings` with which a plan can be made: others would end it without a word, or never."""
+
+
+def require_ranges(settings: object) -> None:
+    """Raises InputError for the first number that is none, or out of its range; None is the instrument's."""
+    for name, allowed in RANGES.items():
+        value = getattr(settings, name)
+        if value is not None and not allowed.holds(value):
+            raise InputError(f"{name} {value:g}: must be {allowed}")
+
+
+@dataclass(frozen=True)
 class PlanSettings:
     """How to plan. The instrument decides what is left out (None)."""
 
@@ -63,8 +114,8 @@ class PlanSettings:
     acceleration_deg_s2: float | None = None
     collision_buffer_mm: float | None = None
     grid_deg: float | None = None
-    """Widest step of the search. None: what an axis needs to come to its speed and stop (2 v^2 / a), but 5.85
-    to 8 deg. Coarse is good: eight times fewer states than half of it."""
+    """Widest step of the search, 2 to 30 deg. None: what an axis needs to come to its speed and stop
+    (2 v^2 / a), but 5.85 to 8 deg. Coarse is good: eight times fewer states than half of it."""
     clearance_mm: float = 0.001
     """Kept beyond touching, so that rounding on the bus does not matter."""
     in_hand_mm: float = 0.05
@@ -97,9 +148,10 @@ class PlanSettings:
     """Called while a plan is made: the name of a stage, how many of its parts are done, of how many."""
 
     def of(self, plane: FocalPlane) -> "PlanSettings":
-        """With the instrument's numbers filled in."""
+        """With the instrument's numbers filled in. InputError names a number that is out of its range."""
         axes = plane.instrument.axes
         require_late("late_s", self.late_s)
+        require_ranges(self)
         speed_deg_s = self.speed_deg_s or SPEED_SHARE * min(a.speed_deg_s for a in axes)
         acceleration_deg_s2 = self.acceleration_deg_s2 or min(a.acceleration_deg_s2 for a in axes)
         full_speed_deg = 2.0 * speed_deg_s**2 / acceleration_deg_s2
