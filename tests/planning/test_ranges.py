@@ -28,8 +28,8 @@ def test_a_number_out_of_its_range_is_named(name, value):
 def test_what_is_allowed_is_told():
     plane = field(7)
     for settings, told in (
-        (PlanSettings(grid_deg=0.25), "grid_deg 0.25: must be a finite number of deg from 2 to 30"),
-        (PlanSettings(speed_deg_s=0.0), "speed_deg_s 0: must be a finite number of deg/s above 0"),
+        (PlanSettings(grid_deg=0.25), "grid_deg 0.25: must be a finite number from 2 to 30 deg"),
+        (PlanSettings(speed_deg_s=0.0), "speed_deg_s 0: must be a finite number above 0 deg/s"),
         (PlanSettings(first_deadline=0.5), "first_deadline 0.5: must be a finite number from 1 on"),
     ):
         with pytest.raises(InputError) as error:

@@ -203,7 +203,7 @@ def test_a_goal_of_its_own_is_reached():
     assert arrived.sum() >= 36
 
 
-def test_where_nothing_overlaps_it_is_an_ordinary_plan():
+def test_where_nothing_overlaps_it_is_an_ordinary_plan_of_little_effort():
     plane = field(37)
     start = random_configuration(plane, 3)
     found = untangle(plane, start, seed=3)

@@ -56,6 +56,7 @@ class Planner {
     std::int64_t expansions() const { return statistics_.expansions; }
 
   private:
+    void settle();
     PathSet assemble();
     int late_steps() const;
     void spare(PathSet &paths) const;
@@ -64,7 +65,7 @@ class Planner {
     void keep_ways(PathSet &&paths);
     void take_over(PathSet &paths) const;
     bool refine(PositionerIndex i, PositionerIndex j);
-    bool make_way(const PathSet &paths);
+    bool clear_the_way(const PathSet &paths);
     bool spend(const PathSet &paths);
     void give_up(const PathSet &paths);
     bool send_elsewhere(const PathSet &paths);
@@ -101,6 +102,12 @@ class Planner {
     bool sent_elsewhere_ = false;
     int round_ = 0;
 };
+
+// Some goals have changed: what is known of locks is as they were.
+void Planner::settle() {
+    goals_.settle();
+    not_locked_.clear();
+}
 
 PathSet Planner::assemble() {
     positioner_of_.clear();
@@ -184,7 +191,7 @@ bool Planner::find_paths() {
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {
         statistics_.expansions += repair.expansions();
-        goals_.settle();
+        settle();
         ++round_;
         if (!std::exchange(trial_, false)) keep_ways(std::move(paths));
         return false;
@@ -193,6 +200,7 @@ bool Planner::find_paths() {
     if (const auto before = std::exchange(before_elsewhere_, std::nullopt))
         if (!free || last_arrival(paths) > before->arrival) {
             goals_.go_back_to(before->goals);
+            not_locked_.clear();
             return false; // its ways are kept
         }
     if (free && send_elsewhere(paths)) {
@@ -211,7 +219,7 @@ bool Planner::find_paths() {
             give_up_locked(paths, repair.locked());
         } else {
             ++round_;
-            if (!make_way(paths) && !spend(paths)) give_up(paths);
+            if (!clear_the_way(paths) && !spend(paths)) give_up(paths);
         }
         if (!trial) keep_ways(std::move(paths));
     }
@@ -227,7 +235,7 @@ bool Planner::send_elsewhere(const PathSet &paths) {
         if (paths.arrival(m) > late_return * least_steps_) any |= goals_.go_elsewhere(positioner_of_[m]);
     if (!any) return false;
     before_elsewhere_ = before;
-    goals_.settle();
+    settle();
     return true;
 }
 
@@ -242,12 +250,12 @@ bool Planner::refine(PositionerIndex i, PositionerIndex j) {
 
 // Those that do not arrive, but would leave their start and come back to it, and still conflict go to another
 // place: before another loses its goal for one that has lost its own. Whether there are any.
-bool Planner::make_way(const PathSet &paths) {
+bool Planner::clear_the_way(const PathSet &paths) {
     if (statistics_.cut_short) return false;
     bool any = false;
     for (const PathIndex m : paths.places())
         if (!paths.at(m).conflicts.empty()) any |= goals_.go_elsewhere(positioner_of_[m]);
-    if (any) goals_.settle();
+    if (any) settle();
     return any;
 }
 
@@ -281,8 +289,7 @@ void Planner::give_up_some(const PathSet &paths) {
         if (refine(positioner_of_[m], positioner_of_[open->other])) continue;
         goals_.give_up_one(positioner_of_[m], positioner_of_[open->other], Refusal::no_way);
     }
-    goals_.settle();
-    not_locked_.clear();
+    settle();
 }
 
 bool Planner::lock_each_other(PositionerIndex i, PositionerIndex j) {
@@ -303,8 +310,7 @@ void Planner::give_up_locked(const PathSet &paths, const List<Repair::Pair> &pai
         gone.push_back(one);
         goals_.give_up_one(positioner_of_[one], positioner_of_[other], Refusal::locked);
     }
-    goals_.settle();
-    not_locked_.clear();
+    settle();
 }
 
 // The last step in which any positioner moves.

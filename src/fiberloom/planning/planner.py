@@ -73,10 +73,12 @@ class _Range:
         )
 
     def __str__(self) -> str:
-        kind = f"a finite number{self.unit and ' of ' + self.unit}"
+        unit = self.unit and f" {self.unit}"
         if self.above:
-            return f"{kind} above {self.least:g}"
-        return f"{kind} from {self.least:g} {'on' if self.most == math.inf else f'to {self.most:g}'}"
+            return f"a finite number above {self.least:g}{unit}"
+        if self.most == math.inf:
+            return f"a finite number from {self.least:g}{unit} on"
+        return f"a finite number from {self.least:g} to {self.most:g}{unit}"
 
 
 RANGES: Mapping[str, _Range] = {
