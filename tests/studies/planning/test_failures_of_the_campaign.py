@@ -114,7 +114,7 @@ def test_one_that_can_make_way_is_given_up_rather_than_one_that_cannot():
 
 
 # 202 has lost its goal to 1108, in a pocket. It left its start for 1383 and 615, and went round to come back
-# to it: 2.395. With the last three it still met one of them after all repairs, and 615 was given up.
+# to it: 2.395. Where it does not clear the way one that has its goal is given up: 1383 in each of these.
 @pytest.mark.parametrize("of_search", [690, 3690, 4690, 5690])
 def test_one_that_has_lost_its_goal_need_not_come_back_to_its_start(of_search):
     check_whole_pair(690, 2.5, {1108, 202}, 1.3, of_search)
