@@ -15,11 +15,20 @@ namespace fl::planning {
 namespace {
 
 constexpr int give_up_rounds = 40;
-constexpr int refining_rounds = 4;   // the first ones, in which knots get finer grids
-constexpr double effort_again = 0.4; // of the first round: what resists that seldom comes undone
-// So often the knot of a pair that resists grows and begins anew in vain, in each round. In those with finer
-// grids it takes long and was of no use.
-constexpr int begins_anew[] = {1, 1};
+constexpr int refining_rounds = 4; // the first ones, in which knots get finer grids
+
+// What a round may take; the last one stands for all that follow it. What resists a whole round seldom comes
+// undone, and what resists the next one too hardly ever. There grids are finer, and a knot that begins anew
+// takes long and was of no use.
+struct RoundEffort {
+    double share;    // of the settings' effort
+    int begins_anew; // so often the knot of a pair that resists grows and begins anew in vain
+};
+constexpr RoundEffort round_efforts[] = {{1.0, 1}, {0.4, 1}, {0.1, 0}};
+
+const RoundEffort &effort_of(int round) {
+    return round_efforts[std::min(round, static_cast<int>(std::size(round_efforts)) - 1)];
+}
 
 constexpr double late_return = 1.3; // of the steps that the longest path needs
 
@@ -182,11 +191,11 @@ bool Planner::find_paths() {
     const int wanted = paths.steps();
     const int last = static_cast<int>(settings_.last_deadline * wanted) + 20;
     take_over(paths);
-    Repair repair(
-        paths, settings_, statistics_,
-        {round_ == 0 ? 1.0 : effort_again,
-         round_ < static_cast<int>(std::size(begins_anew)) ? begins_anew[round_] : 0,
-         [&](PathIndex m, PathIndex n) { return lock_each_other(positioner_of_[m], positioner_of_[n]); }});
+    const RoundEffort &effort = effort_of(round_);
+    Repair repair(paths, settings_, statistics_,
+                  {effort.share, effort.begins_anew, [&](PathIndex m, PathIndex n) {
+                       return lock_each_other(positioner_of_[m], positioner_of_[n]);
+                   }});
     const List<PathIndex> without = repair.first_paths();
     for (const PathIndex m : without) goals_.has_no_way(positioner_of_[m]);
     if (!without.empty()) {
