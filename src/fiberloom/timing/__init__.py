@@ -24,6 +24,13 @@ _OTHER, _IMPORTS = "other", "imports"
 _import = builtins.__import__
 
 
+def core_count() -> int:
+    """Cores for threads: those of the process's affinity where the system tells (a container, `taskset`)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def cpu_s() -> float:
     """Processor seconds until now: user and system, of this process and of its children that have ended."""
     used = os.times()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypedDict, Unpack
@@ -16,7 +15,7 @@ from fiberloom.errors import InputError
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.model import AXES, BODY_SHARE, METROLOGY
 from fiberloom.instruments.pointing import Pointing
-from fiberloom.timing import part
+from fiberloom.timing import core_count, part
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.units import Units, plain
@@ -55,7 +54,7 @@ class Computing(TypedDict, total=False):
     """How a twin is computed: the same bytes whatever they are, but for the substeps."""
 
     threads: int | None
-    """One for each core when None."""
+    """One for each core that the process may use when None."""
     skip_resting: bool
     """A positioner at rest costs nothing."""
     side_by_side: bool
@@ -106,7 +105,7 @@ class Twin:
             body_mm = (*plane.beta_segment_mm, BODY_SHARE * plane.collision_buffer_mm)
             setup.place(units.arms, _obstacles(plane), body_mm)
             setup.seed = seed
-            setup.threads = computing.get("threads") or os.cpu_count() or 1
+            setup.threads = computing.get("threads") or core_count()
             setup.neighbours = neighbours
             setup.skip_resting = computing.get("skip_resting", True)
             setup.side_by_side = computing.get("side_by_side", True)

@@ -12,7 +12,6 @@ again; every exposure of a camera draws new noise.
 from __future__ import annotations
 
 import datetime
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -25,7 +24,7 @@ from fiberloom.errors import InputError
 from fiberloom.metrology import zhao_burge
 from fiberloom.metrology.acquisition import CameraGeometry
 from fiberloom.metrology.images import CameraImage
-from fiberloom.timing import part
+from fiberloom.timing import core_count, part
 from fiberloom.twin.camera.air import air_shift_mm
 from fiberloom.twin.twin import Twin
 from fiberloom.typing import Floats, Ints
@@ -250,7 +249,7 @@ class ImagingCamera:
         instrument: str = "",
         threads: int | None = None,
     ) -> None:
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or core_count()
         self.scene, self.model, self.seed, self.instrument = scene, model, seed, instrument
         self.fiducials_mm = np.zeros((0, 2))
         if fiducials_mm is not None:
