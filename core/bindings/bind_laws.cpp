@@ -9,6 +9,10 @@
 #include <optional>
 #include <tuple>
 
+#ifdef __SSE__
+#include <xmmintrin.h>
+#endif
+
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
@@ -287,6 +291,17 @@ nb::dict enumeration(std::initializer_list<std::pair<const char *, int>> items) 
     return d;
 }
 
+std::optional<bool> subnormals_met() {
+#ifdef __SSE__
+    constexpr unsigned int operand = 1U << 1, result = 1U << 4; // of MXCSR, kept until they are cleared
+    const unsigned int told = _mm_getcsr();
+    _mm_setcsr(told & ~(operand | result));
+    return (told & (operand | result)) != 0;
+#else
+    return std::nullopt;
+#endif
+}
+
 } // namespace
 
 void bind_laws(nb::module_ &m) {
@@ -325,8 +340,13 @@ void bind_laws(nb::module_ &m) {
     m.def("friction_fit", &friction_fit, nb::arg("rows"),
           "(coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, "
           "rotor_cnt, torque_Nm.");
-    m.def("fade", &fl_fade, nb::arg("x"), nb::arg("share"),
-          "What is left of x after a tick: never below 1e-30.");
+    m.def("fade", &fl_fade, nb::arg("x"), nb::arg("share"), nb::arg("least"),
+          "What is left of x after a tick: never below `least`.");
+    m.def("follow", &fl_follow, nb::arg("x"), nb::arg("target"), nb::arg("share"),
+          "x a tick on, where it follows the target.");
+    m.def("subnormals_met", &subnormals_met,
+          "Whether a result or an operand was subnormal on this thread since the last call; None where the "
+          "processor does not tell.");
     m.def("round_i32", &fl_round_i32, nb::arg("x"), "Nearest integer, halves away from zero.");
     m.def("params_fault", &params_fault, nb::arg("params"), "Index of the first bad parameter, -1 if none.");
     m.def("crc32", &crc32, nb::arg("data"));

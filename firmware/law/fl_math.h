@@ -52,11 +52,20 @@ static inline float fl_clamp(float x, float lo, float hi) { return fl_min(fl_max
 #define FL_BOTH_REACH(a, limit_a, b, limit_b) ((a) >= (limit_a) && (b) >= (limit_b))
 #endif
 
-#define FL_LEAST 1e-30f /* nothing that matters, and no subnormal float */
+/* Nothing that matters, and neither it nor what a gain makes of it is a subnormal float: these lose their
+ * digits, and a processor takes a hundred times as long for them. */
+#define FL_LEAST_NM 1e-30f
+#define FL_LEAST_RAD 1e-18f /* a second, or s2 */
 
-/* What fades to a share of itself each tick, down to 1e-30/(1 - share); x >= 0. Smaller floats lose their
- * digits, and a processor takes a hundred times as long for them; larger ones do not feel the sum. */
-static inline float fl_fade(float x, float share) { return share * x + FL_LEAST; }
+/* What fades to a share of itself each tick, down to least/(1 - share); x >= 0. Larger floats do not feel the
+ * sum. */
+static inline float fl_fade(float x, float share, float least) { return share * x + least; }
+
+/* A lag of something in rad: x takes in a share of what it differs from the target by, and comes to rest
+ * FL_LEAST_RAD/share above it. */
+static inline float fl_follow(float x, float target, float share) {
+    return x + (share * (target - x) + FL_LEAST_RAD);
+}
 
 /* |x|. */
 static inline float fl_abs(float x) { return __builtin_fabsf(x); }

@@ -133,9 +133,9 @@ static inline float fl_touch_observe(const fl_touch_config_t *cfg, fl_touch_stat
 
 /* The speed with the lag that the observer gives to the load. */
 static inline float fl_touch_late(fl_touch_state_t *st, float speed_rad_s) {
-    st->late_1_rad_s += FL_TOUCH_LAG * (speed_rad_s - st->late_1_rad_s);
-    st->late_2_rad_s += FL_TOUCH_LAG * (st->late_1_rad_s - st->late_2_rad_s);
-    st->late_3_rad_s += FL_TOUCH_LAG * (st->late_2_rad_s - st->late_3_rad_s);
+    st->late_1_rad_s = fl_follow(st->late_1_rad_s, speed_rad_s, FL_TOUCH_LAG);
+    st->late_2_rad_s = fl_follow(st->late_2_rad_s, st->late_1_rad_s, FL_TOUCH_LAG);
+    st->late_3_rad_s = fl_follow(st->late_3_rad_s, st->late_2_rad_s, FL_TOUCH_LAG);
     return st->late_3_rad_s;
 }
 
@@ -175,17 +175,18 @@ fl_touch_step(const fl_touch_config_t *cfg, fl_touch_state_t *st, const fl_touch
     const float ripple_Nm = fl_touch_ripple(cfg, st, in);
     const float load_Nm = fl_touch_observe(cfg, st, in, ripple_Nm);
     const float speed = fl_abs(in->speed_rad_s);
-    st->surge_rad_s2 = fl_max(fl_abs(in->acceleration_rad_s2), fl_fade(st->surge_rad_s2, FL_TOUCH_FADE));
+    st->surge_rad_s2 =
+        fl_max(fl_abs(in->acceleration_rad_s2), fl_fade(st->surge_rad_s2, FL_TOUCH_FADE, FL_LEAST_RAD));
 
     const float faster = fl_touch_late(st, speed) - st->mean_speed_rad_s, more_Nm = load_Nm - st->mean_Nm;
     st->rise_Nm = more_Nm - in->excess_Nms * faster;
-    const float unrest_Nm = watched ? FL_LEAST : fl_abs(more_Nm);
+    const float unrest_Nm = watched ? FL_LEAST_NM : fl_abs(more_Nm);
     st->unrest_Nm = fl_max(unrest_Nm, FL_TOUCH_REST * st->unrest_Nm);
     const float pace = fl_min(speed * (1.0f / FL_TOUCH_FAST_RAD_S), 1.0f);
     const float coarse = 1.0f + FL_TOUCH_COARSE * (1.0f - pace);
     /* until it is learnt, the scatter is taken for errors of the angle, which grow with w^2 */
     const float scale = st->share > 2.0f * FL_TOUCH_SHARE ? pace * pace : coarse;
-    st->dip_Nm = fl_max(watched ? -st->rise_Nm : FL_LEAST, FL_TOUCH_DIP_FADE * st->dip_Nm);
+    st->dip_Nm = fl_max(watched ? -st->rise_Nm : FL_LEAST_NM, FL_TOUCH_DIP_FADE * st->dip_Nm);
     const float both_Nm = coarse * fl_max(cfg->threshold_Nm, FL_TOUCH_DIPS * st->dip_Nm);
     const float known_Nm = fl_max(both_Nm, scale * FL_TOUCH_WILD * st->scatter_Nm);
     const float allowed_Nm = st->unrest_Nm + in->drag_doubt * cfg->doubt_Nms * fl_abs(faster) +

@@ -15,13 +15,26 @@ CNT_PER_RAD = TURN / (2 * np.pi)
 angles = st.integers(-(2**31), 2**31 - 1)
 
 
-def test_what_fades_stops_before_its_digits_are_lost():
+@pytest.mark.parametrize("least", [1e-30, 1e-18])
+def test_what_fades_stops_before_its_digits_are_lost(least):
     """A subnormal float costs a processor a hundred times as long, and twins slow down."""
     x = np.float32(3e5)
     for _ in range(10_000):
-        before, x = x, np.float32(fw.fade(float(x), 0.97))
-        assert x == before * np.float32(0.97) or before < 1e-20
-    assert x == pytest.approx(1e-30 / 0.03, rel=1e-3)
+        before, x = x, np.float32(fw.fade(float(x), 0.97, least))
+        assert x == before * np.float32(0.97) or before < 1e10 * least
+    assert x == pytest.approx(least / 0.03, rel=1e-3)
+
+
+@pytest.mark.parametrize("begin", [209.0, -209.0])
+def test_a_lag_comes_to_rest_beside_its_target(begin):
+    """And what it differs by is never a subnormal float."""
+    x, share = np.float32(begin), np.float32(0.139292)
+    for _ in range(1000):
+        before, x = x, np.float32(fw.follow(float(x), 0.0, float(share)))
+        assert x == before + share * (np.float32(0.0) - before) or abs(before) < 1e-9
+        assert abs(x) > 1e-30
+    assert x == pytest.approx(1e-18 / 0.139292, rel=1e-3)
+    assert fw.follow(209.0, 209.0, float(share)) == 209.0
 
 
 @given(st.integers(0, 2047), st.integers(0, 255), st.integers(0, 63), st.integers(0, 15))

@@ -85,7 +85,7 @@ static inline fl_servo_out_t fl_regulator_step(const fl_servo_config_t *cfg, con
     fl_regulator_learn(cfg, st, pushes ? in->speed_rad_s : 0.0f, load_Nm);
     const float gear = fl_regulator_gear(cfg, reg, st, in);
     const float feedforward = fl_regulator_rotor(cfg, reg, st, in) + (pushes ? gear * st->direction : 0.0f);
-    own->slack_Nm = pushes ? fl_fade(own->slack_Nm, FL_SLACK_FADE) : fl_max(gear, 0.0f);
+    own->slack_Nm = pushes ? fl_fade(own->slack_Nm, FL_SLACK_FADE, FL_LEAST_NM) : fl_max(gear, 0.0f);
     const float feedback = reg->k_e * own->seen.error_rad + reg->k_v * own->seen.rate_rad_s + load_Nm;
     const float watched = cfg->k_p * e_rad + load_Nm - own->slack_Nm * st->direction;
     const fl_servo_out_t out = {feedforward + feedback, feedforward, watched};

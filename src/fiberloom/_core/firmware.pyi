@@ -100,8 +100,16 @@ def friction_fit(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None)
     (coulomb_Nm, spring_Nm, cogging_Nm, cogging_phase_rad) or None, of rows (n, 3) of direction, rotor_cnt, torque_Nm.
     """
 
-def fade(x: float, share: float) -> float:
-    """What is left of x after a tick: never below 1e-30."""
+def fade(x: float, share: float, least: float) -> float:
+    """What is left of x after a tick: never below `least`."""
+
+def follow(x: float, target: float, share: float) -> float:
+    """x a tick on, where it follows the target."""
+
+def subnormals_met() -> bool | None:
+    """
+    Whether a result or an operand was subnormal on this thread since the last call; None where the processor does not tell.
+    """
 
 def round_i32(x: float) -> int:
     """Nearest integer, halves away from zero."""
