@@ -1,21 +1,40 @@
 """How many threads a twin and its camera use unless told."""
 
 import os
+from pathlib import Path
 
 import pytest
 
+from fiberloom.instruments import generate, load_instrument
 from fiberloom.timing import core_count
+from fiberloom.twin import Twin, draw_units
+
+TASKS = Path("/proc/self/task")
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system knows no affinity of processes")
-def test_a_process_that_may_use_one_core_counts_one():
+@pytest.fixture
+def one_core():
+    if not hasattr(os, "sched_setaffinity"):
+        pytest.skip("this system knows no affinity of processes: Linux does")
     before = os.sched_getaffinity(0)
-    assert core_count() == len(before)
     os.sched_setaffinity(0, {min(before)})
-    try:
-        assert core_count() == 1
-    finally:
-        os.sched_setaffinity(0, before)
+    yield
+    os.sched_setaffinity(0, before)
+
+
+def test_a_process_that_may_use_one_core_counts_one(one_core):
+    assert core_count() == 1
+
+
+@pytest.mark.skipif(not TASKS.exists(), reason="no /proc here, where threads are counted")
+def test_its_twin_has_no_helpers(one_core):
+    plane = generate(load_instrument("sdssv"), seed=5, n_positioners=2)
+    units, before = draw_units(plane, seed=11), len(list(TASKS.iterdir()))
+    alone = Twin(plane, units)
+    assert len(list(TASKS.iterdir())) == before
+    helped = Twin(plane, units, threads=3)
+    assert len(list(TASKS.iterdir())) == before + 2
+    del alone, helped
 
 
 def test_where_no_affinity_is_known_all_cores_count(monkeypatch):
