@@ -212,9 +212,12 @@ def _by_astropy(path: Path, content: bytes, kind: str) -> TableFile:
 
 def _cells(column: Any) -> Any:
     """Of a column of astropy; those that are masked are empty text."""
-    if np.ma.is_masked(column):
-        return ["" if value is np.ma.masked else value for value in column]
-    return np.asarray(column)
+    if not np.ma.is_masked(column):
+        return np.asarray(column)
+    if column.ndim > 1:
+        return list(column)
+    # out of the arrays themselves: astropy looks at each of its cells anew
+    return ["" if empty else value for value, empty in zip(column.data.data, column.mask, strict=True)]
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:

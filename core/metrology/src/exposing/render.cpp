@@ -22,10 +22,10 @@ constexpr Rule two{2, {-0.28867513459481288, 0.28867513459481288}, {0.5, 0.5}};
 constexpr Rule one{1, {0.0}, {1.0}};
 constexpr double core_q = 12, flank_q = 60;
 
-// Powers up to this one are products.
+// Powers from 2 up to this one are products; of 1 the light has no end.
 constexpr double most_power = 8;
 
-bool is_small_whole(double n) { return n <= most_power && n == std::floor(n); }
+bool is_small_whole(double n) { return n >= 2 && n <= most_power && n == std::floor(n); }
 
 // x^-n, by multiplication where n is a small whole number.
 double inverse_power(double x, double n) {
@@ -106,24 +106,47 @@ void sum_any(const Source &s, PsfKind kind, const Run &run, double *sum) {
                             s.parameter);
 }
 
-// The same of a Moffat function whose power is a small whole number: products and one quotient, side by side.
-FL_CLONES void sum_moffat(const Source &source, const Run &run, double *sum) {
+// The same of a Moffat function whose power is a small whole number: products and one quotient, whole vectors
+// side by side. What lies beyond the end of the run is summed, too, and not used.
+constexpr int together = 8;
+static_assert(run_pixels % together == 0);
+
+template <int power>
+[[gnu::always_inline]] inline void sum_power(const Source &source, const Run &run, double *__restrict sum) {
     const Source s = source; // what nothing writes to meanwhile stays in registers
-    const int power = static_cast<int>(s.parameter), first = run.first, count = run.count;
-    for (int b = 0; b < run.rule.n; ++b)
-        for (int a = 0; a < run.rule.n; ++a) {
-            const double weight = run.rule.weight[a] * run.rule.weight[b], node = run.rule.node[a];
-            const double dy = run.row + run.rule.node[b] - s.y;
-            double one_and_q[run_pixels], product[run_pixels];
-            for (int k = 0; k < count; ++k) {
-                const double dx = first + k + node - s.x;
-                one_and_q[k] = 1 + (s.xx * dx * dx + s.xy * dx * dy + s.yy * dy * dy);
-                product[k] = one_and_q[k];
+    const Rule rule = run.rule;
+    const int end = (run.count + together - 1) / together * together;
+    for (int b = 0; b < rule.n; ++b)
+        for (int a = 0; a < rule.n; ++a) {
+            const double weight = rule.weight[a] * rule.weight[b], node = rule.node[a];
+            const double dy = run.row + rule.node[b] - s.y;
+            for (int k = 0; k < end; ++k) {
+                const double dx = run.first + k + node - s.x;
+                const double one_and_q = 1 + (s.xx * dx * dx + s.xy * dx * dy + s.yy * dy * dy);
+                double product = one_and_q;
+                for (int n = 1; n < power; ++n) product *= one_and_q;
+                sum[k] += weight * (1 / product);
             }
-            for (int n = 1; n < power; ++n)
-                for (int k = 0; k < count; ++k) product[k] *= one_and_q[k];
-            for (int k = 0; k < count; ++k) sum[k] += weight * (1 / product[k]);
         }
+}
+
+FL_CLONES void sum_moffat(const Source &s, const Run &run, double *sum) {
+    switch (static_cast<int>(s.parameter)) {
+    case 2:
+        return sum_power<2>(s, run, sum);
+    case 3:
+        return sum_power<3>(s, run, sum);
+    case 4:
+        return sum_power<4>(s, run, sum);
+    case 5:
+        return sum_power<5>(s, run, sum);
+    case 6:
+        return sum_power<6>(s, run, sum);
+    case 7:
+        return sum_power<7>(s, run, sum);
+    default:
+        return sum_power<8>(s, run, sum);
+    }
 }
 
 void add_run(const Source &s, PsfKind kind, const Run &run, float *row) {

@@ -142,11 +142,12 @@ def begin_check(
     blind = most_mm < 3.0 * report.scatter_mm
     near = miss_mm <= np.where(blind, 3.0 * report.scatter_mm, most_mm)
     seen_right = report.answered & report.image.seen & near & (~blind | report.vouched)
+    past = _past_range(plane, report)
     for i in range(len(plane)):
         standing[i] = _standing(i, plane, report, seen_right[i], standing[i])
         if near[i] and blind[i] and standing[i] in NAMED:
             standing[i] = Standing.BLIND
-        if standing[i] in (Standing.RIGHT, Standing.TURNS, Standing.VOUCHED) and _beyond(plane, report, i):
+        if standing[i] in (Standing.RIGHT, Standing.TURNS, Standing.VOUCHED) and past[i]:
             standing[i] = Standing.BEYOND
     right = np.array([s in (Standing.RIGHT, Standing.VOUCHED) for s in standing])
     certain = right | (seen_right & np.array([s is Standing.TURNS for s in standing]))
@@ -168,13 +169,14 @@ def begin_check(
     )
 
 
-def _beyond(plane: FocalPlane, report: Report, row: int) -> bool:
-    """Whether it reports angles that no plan goes to: the elbow on the other side, or past an end."""
+def _past_range(plane: FocalPlane, report: Report) -> Flags:
+    """(N,) who reports angles that no plan goes to: the elbow on the other side, or past an end."""
     low_deg, high_deg = rad_to_deg(travel_rad(plane)).T
     if report.to_stops:
-        low_deg, high_deg = plane.stops_of(np.array([row]))[0].T
-    angles_deg = report.angles_deg[row]
-    return bool((angles_deg < low_deg - BEYOND_DEG).any() or (angles_deg > high_deg + BEYOND_DEG).any())
+        low_deg, high_deg = np.moveaxis(plane.stops_of(), -1, 0)
+    angles_deg = report.angles_deg
+    past: Flags = ((angles_deg < low_deg - BEYOND_DEG) | (angles_deg > high_deg + BEYOND_DEG)).any(axis=1)
+    return past
 
 
 def allowed_miss_mm(plane: FocalPlane, reported_mm: Floats, allowed_mm: float = ALLOWED_MM) -> Floats:
