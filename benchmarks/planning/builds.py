@@ -34,10 +34,10 @@ def mark_of_build() -> Mark:
     return {"build": mark.hexdigest()[:12], "commit": asked.stdout.strip() or "unknown"}
 
 
-def claim(folder: Path, array: str, anew: bool = False, mark: Mark | None = None) -> None:
+def claim(folder: Path, array: str, anew: bool | None = None, mark: Mark | None = None) -> None:
     """Makes the folder one of this build and array. InputError where it holds results of another.
 
-    `anew` renames such a folder and begins an empty one.
+    `anew` renames such a folder and begins an empty one; None: the command has no such option.
     """
     mine = (mark or mark_of_build()) | {"array": array}
     path = folder / BUILD
@@ -47,9 +47,11 @@ def claim(folder: Path, array: str, anew: bool = False, mark: Mark | None = None
         if not differs:
             return
         if not anew:
+            told = "; ".join(f"{theirs.get(key)}, and this is {mine[key]}" for key in differs)
+            aside = "" if anew is None else ", or put them aside with --anew"
             raise InputError(
-                f"{folder}: holds results of another {' and '.join(differs)} ({theirs['build']}, commit "
-                f"{theirs['commit']}; this is {mine['build']}); --anew puts them aside, or name another --out"
+                f"{folder}: holds results of another {' and '.join(differs)} ({told}; theirs is of commit "
+                f"{theirs['commit']}); name another folder{aside}"
             )
         folder.rename(_free_name(folder))
     folder.mkdir(parents=True, exist_ok=True)
