@@ -26,7 +26,7 @@ def test_a_process_that_may_use_one_core_counts_one(one_core):
     assert core_count() == 1
 
 
-@pytest.mark.skipif(not TASKS.exists(), reason="no /proc here, where threads are counted")
+@pytest.mark.skipif(not TASKS.exists(), reason="no /proc here, where threads are counted: Linux has it")
 def test_its_twin_has_no_helpers(one_core):
     plane = generate(load_instrument("sdssv"), seed=5, n_positioners=2)
     units, before = draw_units(plane, seed=11), len(list(TASKS.iterdir()))

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from astropy.table import Table
+from astropy.table import MaskedColumn, Table
 
 from fiberloom.errors import InputError
 from fiberloom.tables import read_table
@@ -32,6 +32,17 @@ def test_same_columns_from_every_kind(tmp_path, suffix):
     assert table.numbers("x").tolist() == [1.25, 1e-9]
     assert table.integers("n").tolist() == [3, -1]
     assert table.strings("s").tolist() == ["BOSS", ""]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "ecsv", "fits"])
+@pytest.mark.parametrize("masked", [False, True])
+def test_text_is_read_as_numbers_alike_from_every_kind(tmp_path, suffix, masked):
+    path = tmp_path / f"t.{suffix}"
+    Table({"x": MaskedColumn(["1.5", "1_0", "-2"], mask=[False, False, masked])}).write(path)
+    with pytest.raises(InputError, match=r"row 2|line 3") as told:
+        read_table(path).numbers("x")
+    assert "'1_0' is not a number" in str(told.value)
+    assert read_table(path).strings("x").tolist() == ["1.5", "1_0", "" if masked else "-2"]
 
 
 def test_ecsv_under_the_name_of_csv(tmp_path):

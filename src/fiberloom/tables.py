@@ -212,12 +212,9 @@ def _by_astropy(path: Path, content: bytes, kind: str) -> TableFile:
 
 def _cells(column: Any) -> Any:
     """Of a column of astropy; those that are masked are empty text."""
-    if not np.ma.is_masked(column):
-        return np.asarray(column)
-    if column.ndim > 1:
-        return list(column)
-    # out of the arrays themselves: astropy looks at each of its cells anew
-    return ["" if empty else value for value, empty in zip(column.data.data, column.mask, strict=True)]
+    if np.ma.is_masked(column):
+        return ["" if value is np.ma.masked else value for value in column]
+    return np.asarray(column)
 
 
 def write_ecsv(path: Path, rows: Sequence[Mapping[str, Any]], head: Mapping[str, Any]) -> None:
@@ -273,6 +270,8 @@ def _cell(value: Any) -> Any:
 
 def _plain(value: Any) -> Any:
     """Text as numbers are written in files: float() also takes 1_0.0 and the digits of every script."""
+    if isinstance(value, bytes):  # FITS has no other text
+        value = _text(value)
     if isinstance(value, str) and not (value.isascii() and "_" not in value):
         raise ValueError
     return value

@@ -130,7 +130,9 @@ except SystemExit:
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="no /proc here, where threads are counted")
+@pytest.mark.skipif(
+    not Path("/proc/self/task").exists(), reason="no /proc here, where threads are counted: Linux has it"
+)
 @pytest.mark.parametrize(("given", "alone"), [({}, True), ({"OPENBLAS_NUM_THREADS": "2"}, False)])
 def test_linear_algebra_has_one_thread_so_that_cores_do_not_change_results(given, alone):
     env = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | given

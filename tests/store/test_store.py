@@ -181,7 +181,9 @@ def test_places_that_cannot_be_written_are_input_errors(tmp_path):
         Store.open("nonsense://host/db")
 
 
-@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="no /proc here, which refuses even root")
+@pytest.mark.skipif(
+    not os.path.isdir("/proc/self"), reason="no /proc here, which refuses even root: Linux has it"
+)
 def test_a_folder_that_cannot_be_written_is_an_input_error():
     with pytest.raises(InputError, match="cannot be opened"):
         Store.open("/proc/s.sqlite")

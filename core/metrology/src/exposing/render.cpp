@@ -22,10 +22,10 @@ constexpr Rule two{2, {-0.28867513459481288, 0.28867513459481288}, {0.5, 0.5}};
 constexpr Rule one{1, {0.0}, {1.0}};
 constexpr double core_q = 12, flank_q = 60;
 
-// Powers from 2 up to this one are products; of 1 the light has no end.
-constexpr double most_power = 8;
+// Powers that are products; of 1 the light has no end.
+constexpr int least_power = 2, most_power = 8;
 
-bool is_small_whole(double n) { return n >= 2 && n <= most_power && n == std::floor(n); }
+bool is_small_whole(double n) { return n >= least_power && n <= most_power && n == std::floor(n); }
 
 // x^-n, by multiplication where n is a small whole number.
 double inverse_power(double x, double n) {
@@ -130,24 +130,16 @@ template <int power>
         }
 }
 
-FL_CLONES void sum_moffat(const Source &s, const Run &run, double *sum) {
-    switch (static_cast<int>(s.parameter)) {
-    case 2:
-        return sum_power<2>(s, run, sum);
-    case 3:
-        return sum_power<3>(s, run, sum);
-    case 4:
-        return sum_power<4>(s, run, sum);
-    case 5:
-        return sum_power<5>(s, run, sum);
-    case 6:
-        return sum_power<6>(s, run, sum);
-    case 7:
-        return sum_power<7>(s, run, sum);
-    default:
-        return sum_power<8>(s, run, sum);
-    }
+// By the source's own power: the loop over it has no end that a compiler knows.
+template <int power = least_power>
+[[gnu::always_inline]] inline void sum_whole(const Source &s, const Run &run, double *sum) {
+    if (s.parameter == power)
+        sum_power<power>(s, run, sum);
+    else if constexpr (power < most_power)
+        sum_whole<power + 1>(s, run, sum);
 }
+
+FL_CLONES void sum_moffat(const Source &s, const Run &run, double *sum) { sum_whole(s, run, sum); }
 
 void add_run(const Source &s, PsfKind kind, const Run &run, float *row) {
     double sum[run_pixels] = {};
