@@ -1,4 +1,5 @@
 #include "fit.hpp"
+#include "machine.hpp"
 #include "pixels.hpp"
 
 #include <algorithm>
@@ -232,7 +233,6 @@ Cut cut_out(const Scene &scene, const Box &box, Stamp &stamp) {
 }
 
 void fetch_ahead(const ImageView &image, const Box &box) {
-    constexpr int line_bytes = 64;
     const auto pixel_bytes = [&] {
         if (image.type == PixelType::F64) return 8;
         return image.type == PixelType::U16 || image.type == PixelType::U16Fits ? 2 : 4;
@@ -243,7 +243,8 @@ void fetch_ahead(const ImageView &image, const Box &box) {
     const int y1 = whole(box.y + box.half_height + 1, 0, image.height - 1);
     for (int j = y0; j <= y1; ++j) {
         const std::byte *row = image.data + j * image.row_bytes;
-        for (int b = x0 * pixel_bytes; b <= x1 * pixel_bytes; b += line_bytes) __builtin_prefetch(row + b);
+        for (int b = x0 * pixel_bytes; b <= x1 * pixel_bytes; b += static_cast<int>(line_bytes))
+            __builtin_prefetch(row + b);
         __builtin_prefetch(row + x1 * pixel_bytes);
     }
 }

@@ -1,5 +1,5 @@
 #include "kernels.hpp"
-#include "clones.hpp"
+#include "machine.hpp"
 #include "pixels.hpp"
 
 #include <algorithm>
@@ -143,6 +143,7 @@ FL_INLINE void scan(const Rows<P> &r, int width, const float *threshold, std::ve
         const int begin = c * chunk_px, end = std::min(begin + chunk_px, width);
         const Key bar = static_cast<Key>(threshold[c]);
         unsigned char any = 0;
+        fetch_behind<0>(&r.row[begin], chunk_px * sizeof(typename P::Raw));
         // as stored, which is quicker: a pixel that holds no light costs a second look, and is none
         for (int i = begin; i < end; ++i) any |= static_cast<unsigned char>(P::stored(r.row[i]) > bar);
         if (any != 0) peaks_in_chunk(r, std::max(begin, 1), std::min(end, width - 1), threshold[c], out);

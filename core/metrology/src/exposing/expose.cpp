@@ -1,5 +1,5 @@
 #include "fiberloom/expose.hpp"
-#include "../clones.hpp"
+#include "../machine.hpp"
 #include "normals.hpp"
 #include "painter.hpp"
 
@@ -127,23 +127,26 @@ struct SkyRow {
     }
 };
 
-// A stretch without light, in single precision: a value of 16 bits loses nothing that a count can show.
+// Pixels without light, in single precision: a value of 16 bits loses nothing that a count can show.
 FL_CLONES void expose_sky(const SkyRow &sky, std::size_t at, const float *z, std::size_t count,
                           std::uint16_t *adu) {
     constexpr float magic = 12582912.0f; // 1.5 * 2^23, as above
-    const float *base = &sky.base[at], *spread = &sky.spread[at], *skew = &sky.skew[at];
     const float top = sky.top_adu;
-    std::uint16_t whole[stretch];
-    for (std::size_t i = 0; i < stretch; ++i) {
-        const float value = base[i] + z[i] * (spread[i] + z[i] * skew[i]);
-        const float below = value < top ? value : top; // a minimum and a maximum, each one instruction
-        const float kept = below > 0.0f ? below : 0.0f;
-        whole[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>((kept + magic) - magic));
+    for (std::size_t k = 0; k < count; k += stretch) {
+        const float *base = &sky.base[at + k], *spread = &sky.spread[at + k], *skew = &sky.skew[at + k];
+        std::uint16_t whole[stretch];
+        fetch_behind<1>(adu + k, sizeof whole);
+        for (std::size_t i = 0; i < stretch; ++i) {
+            const float n = z[k + i], value = base[i] + n * (spread[i] + n * skew[i]);
+            const float below = value < top ? value : top; // a minimum and a maximum, each one instruction
+            const float kept = below > 0.0f ? below : 0.0f;
+            whole[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>((kept + magic) - magic));
+        }
+        if (count - k >= stretch)
+            std::memcpy(adu + k, whole, sizeof whole); // of a length that the compiler knows
+        else
+            std::memcpy(adu + k, whole, (count - k) * sizeof *adu);
     }
-    if (count == stretch)
-        std::memcpy(adu, whole, sizeof whole); // of a length that the compiler knows
-    else
-        std::memcpy(adu, whole, count * sizeof *adu);
 }
 
 // One row after the other by one thread; each has its own random numbers, so that rows may be made in any
@@ -163,16 +166,16 @@ class RowExposer {
         Normals normals(~seed);
         Stretch pixels{}; // what a short one leaves is computed, too
         for (std::size_t at = 0; at < width_; at += pixels.count) {
-            pixels.count = std::min(stretch, width_ - at);
-            const bool no_light =
-                (lit != nullptr && lit[at / stretch] == 0) || dark(light_e + at, pixels.count);
-            if (no_light && sky_.bright[at / stretch] != 0) {
-                normals.draw(pixels.normal);
-                expose_sky(sky_, at, pixels.normal, pixels.count, adu + at);
+            if (const std::size_t count = sky_from(light_e, lit, at); count > 0) {
+                float z[Normals::most * stretch_px];
+                normals.draw(static_cast<int>((count + stretch - 1) / stretch), z);
+                expose_sky(sky_, at, z, count, adu + at);
+                pixels.count = count;
                 continue;
             }
+            pixels.count = std::min(stretch, width_ - at);
             const Brightness how = mean_electrons(light_e + at, here, static_cast<std::int32_t>(at), pixels);
-            if (how != Brightness::faint) normals.draw(pixels.normal);
+            if (how != Brightness::faint) normals.draw(1, pixels.normal);
             if (how == Brightness::bright)
                 expose_bright(pixels, exposure_.detector, adu + at);
             else
@@ -181,6 +184,18 @@ class RowExposer {
     }
 
   private:
+    // Pixels from `at` on that nothing but the sky lights, of as many whole stretches as are drawn at once.
+    std::size_t sky_from(const float *light_e, const unsigned char *lit, std::size_t at) const {
+        std::size_t count = 0;
+        for (int k = 0; k < Normals::most && at + count < width_; ++k) {
+            const std::size_t here = at + count, next = std::min(stretch, width_ - here);
+            const bool no_light = (lit != nullptr && lit[here / stretch] == 0) || dark(light_e + here, next);
+            if (!no_light || sky_.bright[here / stretch] == 0) break;
+            count += next;
+        }
+        return count;
+    }
+
     Ground ground(std::size_t j) const {
         const Sky &sky = exposure_.sky;
         return {sky.level_e + sky.slope_y_e * static_cast<double>(j), sky.slope_x_e};

@@ -1,5 +1,5 @@
 #include "normals.hpp"
-#include "../clones.hpp"
+#include "../machine.hpp"
 
 #include <bit>
 #include <cmath>
@@ -164,30 +164,40 @@ class TailCurves {
     std::array<std::array<double, nodes>, pieces> curves_;
 };
 
-// A number of one of the outermost parts.
-float tail(int part, const TailCurves &curves, Random &random) {
+// A number of one of the outermost parts, so far within it.
+float tail(int part, double within, const TailCurves &curves) {
     const bool upper = part >= part_count / 2;
     const int from_the_end = upper ? part_count - 1 - part : part;
-    // never 0: the middle of a step
-    const double within = random.uniform() + 0x1p-54;
     const double z =
         from_the_end == 0 ? tail_quantile(within / part_count) : curves.quantile(from_the_end, within);
     return static_cast<float>(upper ? -z : z);
 }
 
+constexpr int most_px = Normals::most * stretch_px;
+
 // The next 16 bits of each pixel: its part, the place in it from -1/2 to 1/2, and whether it is an outermost
-// one.
+// one. Of several stretches: what is stored in small pieces has long been written when it is read in large
+// ones.
 struct Choices {
-    alignas(64) std::uint16_t part[stretch_px];
-    alignas(64) float place[stretch_px];
-    alignas(64) unsigned char outermost[stretch_px];
+    alignas(64) std::uint16_t part[most_px];
+    alignas(64) float place[most_px];
+    alignas(64) unsigned char outermost[most_px];
 };
+
+std::uint64_t flags_of(const Choices &chosen, int first) {
+    std::uint64_t eight;
+    std::memcpy(&eight, &chosen.outermost[first], sizeof eight);
+    return eight;
+}
 
 constexpr int lanes = Normals::lanes, words_of_lane = stretch_px / 4 / lanes;
 
 // A lane at a time, in arrays: a vector of all eight lanes is copied in halves by way of the stack where a
 // machine's vectors are shorter, and waits there for itself.
-FL_CLONES void choose(std::uint64_t (*state)[lanes], Choices &out) {
+FL_CLONES void choose(std::uint64_t (*state)[lanes], int first, Choices &out) {
+    std::uint16_t *chosen = &out.part[first];
+    unsigned char *outermost = &out.outermost[first];
+    float *place = &out.place[first];
     alignas(64) std::uint64_t words[words_of_lane][lanes];
     for (int lane = 0; lane < lanes; ++lane) {
         std::uint64_t s[4];
@@ -206,13 +216,13 @@ FL_CLONES void choose(std::uint64_t (*state)[lanes], Choices &out) {
     constexpr int places = 1 << place_bits;
     for (int k = 0; k < stretch_px; ++k) {
         const std::uint16_t part = static_cast<std::uint16_t>(bits[k] >> place_bits);
-        out.part[k] = part;
+        chosen[k] = part;
         // one comparison of 16 bits: those below wrap around
         const std::uint16_t inwards = static_cast<std::uint16_t>(part - tail_parts);
-        out.outermost[k] = inwards >= part_count - 2 * tail_parts;
+        outermost[k] = inwards >= part_count - 2 * tail_parts;
     }
     for (int k = 0; k < stretch_px; ++k)
-        out.place[k] = (static_cast<float>(bits[k] & (places - 1)) - 0.5f * (places - 1)) / places;
+        place[k] = (static_cast<float>(bits[k] & (places - 1)) - 0.5f * (places - 1)) / places;
 }
 
 using Float4 = float __attribute__((vector_size(16)));
@@ -222,10 +232,10 @@ using Double2 = double __attribute__((vector_size(16)));
 
 // A part is read whole, as it lies in the table; then the means of four are put beside each other, and the
 // widths. Vectors of eight would be taken to pieces where a machine has none.
-FL_CLONES void put(const Parts &table, const Choices &chosen, float *z) {
+FL_CLONES void put(const Parts &table, const Choices &chosen, int count, float *z) {
     using Whole = const double __attribute__((may_alias));
     Whole *parts = reinterpret_cast<Whole *>(table.data());
-    for (int k = 0; k < stretch_px; k += 4) {
+    for (int k = 0; k < count; k += 4) {
         const std::uint16_t *p = &chosen.part[k];
         const Double2 first = {parts[p[0]], parts[p[1]]}, second = {parts[p[2]], parts[p[3]]};
         const Float4 a = reinterpret_cast<Float4>(first), b = reinterpret_cast<Float4>(second);
@@ -255,20 +265,25 @@ Normals::Normals(std::uint64_t seed) : tails_(seed ^ 0x5851F42D4C957F2Du) {
         for (std::uint64_t &word : words) word = splitmix(seed);
 }
 
-void Normals::draw(float (&z)[stretch_px]) {
+void Normals::draw(int stretches, float *z) {
     static const Parts table = equal_parts();
     static const TailCurves curves;
     Choices chosen;
-    choose(state_, chosen);
-    put(table, chosen, z);
-    for (int word = 0; word < stretch_px; word += 8) {
-        std::uint64_t eight;
-        std::memcpy(&eight, chosen.outermost + word, sizeof eight);
-        for (; eight != 0; eight &= eight - 1) {
-            const int k = word + std::countr_zero(eight) / 8;
-            z[k] = tail(chosen.part[k], curves, tails_);
-        }
+    const int count = stretches * stretch_px;
+    for (int first = 0; first < count; first += stretch_px) choose(state_, first, chosen);
+    put(table, chosen, count, z);
+    // which eights have one, without a guess that may be wrong; few have two
+    int eights[most_px / 8], found = 0;
+    for (int first = 0; first < count; first += 8) {
+        eights[found] = first;
+        found += flags_of(chosen, first) != 0;
     }
+    for (int i = 0; i < found; ++i)
+        for (std::uint64_t left = flags_of(chosen, eights[i]); left != 0; left &= left - 1) {
+            const int k = eights[i] + std::countr_zero(left) / 8;
+            const double within = tails_.uniform() + 0x1p-54; // never 0: the middle of a step
+            z[k] = tail(chosen.part[k], within, curves);
+        }
 }
 
 } // namespace fl::metrology

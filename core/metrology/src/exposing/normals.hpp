@@ -37,8 +37,9 @@ class Normals {
   public:
     static constexpr int lanes = 8;
     explicit Normals(std::uint64_t seed);
-    // The next ones.
-    void draw(float (&z)[stretch_px]);
+    static constexpr int most = 8;
+    // The next ones, of so many stretches, at most `most`.
+    void draw(int stretches, float *z);
 
   private:
     alignas(64) std::uint64_t state_[4][lanes]; // of a generator in each lane, xoshiro256++

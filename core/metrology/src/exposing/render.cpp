@@ -1,4 +1,4 @@
-#include "../clones.hpp"
+#include "../machine.hpp"
 #include "painter.hpp"
 
 #include <algorithm>

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cstddef>
 
-#include "../clones.hpp"
+#include "../machine.hpp"
 
 namespace fl::metrology {
 namespace {
