@@ -77,7 +77,7 @@ Replies twin_run_until_reply(Twin &twin, uint64_t ticks, uint64_t slices) {
     std::vector<Reply> replies;
     {
         nb::gil_scoped_release free;
-        for (; slices > 0 && replies.empty(); --slices) replies = twin.run(ticks);
+        replies = twin.run_until_reply(ticks, slices);
     }
     return listed(replies);
 }

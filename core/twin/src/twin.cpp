@@ -30,18 +30,16 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
 
 void Twin::connect(size_t i, int bus) { s_->at(i).bus = bus; }
 
-std::vector<Reply> Twin::run(uint64_t ticks) {
-    const uint64_t end = s_->now + ticks;
-    while (s_->now < end) {
-        const bool resting = !s_->any_awake(), at_sync = !s_->feel || s_->at_sync();
-        if (resting && s_->quiet) {
-            s_->now = end;
-            break;
-        }
-        s_->run_slice(end - s_->now);
-        s_->quiet = resting && at_sync && !s_->any_awake();
+std::vector<Reply> Twin::run(uint64_t ticks) { return run_until_reply(ticks, 1); }
+
+std::vector<Reply> Twin::run_until_reply(uint64_t ticks, uint64_t slices) {
+    std::vector<Reply> replies;
+    for (; slices > 0 && replies.empty(); --slices) {
+        s_->pass(ticks);
+        replies = s_->collect();
     }
-    return s_->collect();
+    s_->workers.rest();
+    return replies;
 }
 
 Angles Twin::output(size_t i) const {

@@ -171,6 +171,19 @@ void Twin::State::look_around(uint64_t most_ticks) {
                                now - now % sync_ticks + sync_ticks);
 }
 
+void Twin::State::pass(uint64_t ticks) {
+    const uint64_t end = now + ticks;
+    while (now < end) {
+        const bool resting = !any_awake(), in_sync = !feel || at_sync();
+        if (resting && quiet) {
+            now = end;
+            break;
+        }
+        run_slice(end - now);
+        quiet = resting && in_sync && !any_awake();
+    }
+}
+
 void Twin::State::run_slice(uint64_t most_ticks) {
     if (feel) look_around(most_ticks);
     slice = std::min(slice_ticks(), most_ticks);

@@ -24,6 +24,7 @@ struct Twin::State {
     explicit State(const TwinSetup &s);
 
     void boot(const TwinSetup &s);
+    void pass(uint64_t ticks);
     void run_slice(uint64_t most_ticks);
     void run_all(Turn what);
     void look_around(uint64_t most_ticks);

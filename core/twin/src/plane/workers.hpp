@@ -38,6 +38,7 @@ class Workers {
             for (size_t i = 0; i < count; ++i) task_(i);
             return;
         }
+        more_ = true;
         left_ = count; // before any of them may be taken
         for (size_t i = 0; i < share_count_; ++i)
             shares_[i].tickets = Tickets{(i + 1) * count / share_count_} << 32 | i * count / share_count_;
@@ -45,6 +46,9 @@ class Workers {
         take_tasks(0);
         for (size_t left = await(left_, 0); left != 0; left = left_) left_.wait(left);
     }
+
+    // No batch follows soon: helpers need not look out for one.
+    void rest() { more_ = false; }
 
   private:
     // The end of a share above, the next of its tasks below: one that is late sees that its batch is over.
@@ -63,10 +67,10 @@ class Workers {
 #endif
     }
     // Looks for a while whether a number becomes `wanted`; returns it as last seen.
-    static size_t await(const std::atomic<size_t> &number, size_t wanted) {
+    size_t await(const std::atomic<size_t> &number, size_t wanted) const {
         size_t seen = number;
-        for (int i = 0; i < spins && seen != wanted; ++i, seen = number) pause();
-        for (int i = 0; i < yields && seen != wanted; ++i, seen = number) std::this_thread::yield();
+        for (int i = 0; i < spins && seen != wanted && more_; ++i, seen = number) pause();
+        for (int i = 0; i < yields && seen != wanted && more_; ++i, seen = number) std::this_thread::yield();
         return seen;
     }
 
@@ -97,6 +101,7 @@ class Workers {
     // apart: one is looked at by those that wait for the next batch while the other counts
     alignas(64) std::atomic<size_t> left_{0};  // tasks of this batch that are not done
     alignas(64) std::atomic<size_t> batch_{0}; // number of it
+    std::atomic<bool> more_{false};            // batches follow each other
     std::atomic<bool> closing_{false};
 };
 

@@ -100,6 +100,8 @@ class Twin {
     void connect(size_t positioner, int bus);
     // Ticks of 0.5 ms; returns what the positioners sent since the last call, by time, then by positioner.
     std::vector<Reply> run(uint64_t ticks);
+    // So many calls of run(), but none after one that has brought a reply.
+    std::vector<Reply> run_until_reply(uint64_t ticks, uint64_t slices);
 
     Angles output(size_t positioner) const;
     const fl_positioner_t &firmware(size_t positioner) const;
