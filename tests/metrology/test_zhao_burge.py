@@ -18,6 +18,11 @@ def disc_quadrature():
     return np.column_stack([(rr * np.cos(aa)).ravel(), (rr * np.sin(aa)).ravel()]), weight.ravel()
 
 
+def jacobians(xy):
+    """(57, n, 2, 2) of every term by itself."""
+    return np.array([zhao_burge.field_jacobian(xy, np.ones(1), [term]) for term in ALL])
+
+
 def test_all_terms_are_orthonormal_on_the_disc():
     xy, weight = disc_quadrature()
     b = zhao_burge.basis(xy, ALL)
@@ -27,7 +32,7 @@ def test_all_terms_are_orthonormal_on_the_disc():
 
 def test_one_family_has_no_curl_and_the_other_no_divergence():
     xy, _ = disc_quadrature()
-    j = zhao_burge.basis_jacobian(xy, ALL)
+    j = jacobians(xy)
     gradients, turned = j[[*range(27), *range(33, 42)]], j[[*range(27, 33), *range(42, 57)]]
     # the highest derivatives of S37 are near 100
     np.testing.assert_allclose(gradients[..., 1, 0], gradients[..., 0, 1], atol=1e-11)
@@ -43,7 +48,17 @@ def test_the_jacobian_is_the_derivative():
     for axis in range(2):
         step = np.eye(2)[axis] * h
         slope = (zhao_burge.basis(xy + step, ALL) - zhao_burge.basis(xy - step, ALL)) / (2 * h)
-        np.testing.assert_allclose(zhao_burge.basis_jacobian(xy, ALL)[..., axis], slope, atol=1e-7)
+        np.testing.assert_allclose(jacobians(xy)[..., axis], slope, atol=1e-7)
+
+
+def test_a_field_is_the_sum_of_its_terms():
+    rng = np.random.default_rng(1)
+    xy, size, terms = rng.uniform(-0.7, 0.7, (20, 2)), rng.normal(size=4), [9, 30, 2, 56]
+    terms_by_one = np.einsum("k,knc->nc", size, zhao_burge.basis(xy, terms))
+    np.testing.assert_allclose(zhao_burge.field(xy, size, terms), terms_by_one, atol=1e-13)
+    slopes_by_one = np.einsum("k,kncd->ncd", size, jacobians(xy)[terms])
+    np.testing.assert_allclose(zhao_burge.field_jacobian(xy, size, terms), slopes_by_one, atol=1e-12)
+    assert not zhao_burge.field(xy, np.zeros(0), []).any()
 
 
 def test_named_terms_are_what_they_are_called():

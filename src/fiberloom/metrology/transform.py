@@ -111,7 +111,7 @@ class FieldTransform:
     def to_mm(self, xy_px: ArrayLike) -> Floats:
         """Focal-plane positions (n, 2)."""
         s = self.similarity.to_mm(xy_px)
-        mm: Floats = s + np.einsum("k,knc->nc", self.coefficients_mm, self._basis(s))
+        mm: Floats = s + zhao_burge.field(s / self.radius_mm, self.coefficients_mm, self.terms)
         return mm
 
     def to_px(self, xy_mm: ArrayLike) -> Floats:
@@ -128,9 +128,8 @@ class FieldTransform:
     def jacobian(self, xy_px: ArrayLike) -> Floats:
         """d(mm)/d(px), (n, 2, 2)."""
         s = self.similarity.to_mm(xy_px)
-        bend = zhao_burge.basis_jacobian(s / self.radius_mm, self.terms) / self.radius_mm
-        bent = np.einsum("k,kncd->ncd", self.coefficients_mm, bend)
-        jacobian: Floats = (np.eye(2) + bent) @ self.similarity.jacobian
+        bend_mm = zhao_burge.field_jacobian(s / self.radius_mm, self.coefficients_mm, self.terms)
+        jacobian: Floats = (np.eye(2) + bend_mm / self.radius_mm) @ self.similarity.jacobian
         return jacobian
 
     @part("transform")
@@ -161,9 +160,7 @@ class FieldTransform:
         s = self.similarity.to_mm(xy_px)
         keep = [k for k, t in enumerate(self.terms) if t not in zhao_burge.SIMILARITY_TERMS]
         terms = [self.terms[k] for k in keep]
-        b = zhao_burge.basis(s / self.radius_mm, terms)
-        added: Floats = np.einsum("k,knc->nc", self.coefficients_mm[keep], b)
-        return added
+        return zhao_burge.field(s / self.radius_mm, self.coefficients_mm[keep], terms)
 
     def significant(self, sigma: float) -> tuple[int, ...]:
         """The terms whose coefficient is at least `sigma` standard errors (a ratio) from zero."""

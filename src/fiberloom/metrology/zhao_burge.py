@@ -116,21 +116,37 @@ def _monomials(order: int) -> tuple[Ints, Ints, Floats]:
 
 def basis(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
     """(len(terms), n, 2) dimensionless: the vector fields at points (n, 2) of the unit disc."""
-    return _evaluate(xy, terms, 0)
+    chosen = _monomials(0)[2][list(terms)]
+    values = _values(xy, 0, chosen.reshape(2 * len(chosen), -1))
+    return np.moveaxis(values.reshape(len(values), len(chosen), 2), 0, 1)
 
 
-def basis_jacobian(xy: ArrayLike, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
-    """(len(terms), n, 2, 2) dimensionless: d(component)/d(x, y) of the vector fields on the unit disc."""
-    flat = _evaluate(xy, terms, 1)
-    return flat.reshape(*flat.shape[:2], 2, 2)
+def field(xy: ArrayLike, size_mm: Floats, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
+    """(n, 2) mm: `size_mm` (len(terms),) of each of the terms together, at points `xy` (n, 2) of the unit
+    disc, dimensionless.
+    """
+    return _values(xy, 0, _summed(size_mm, terms, 0))
 
 
-def _evaluate(xy: ArrayLike, terms: Sequence[int], order: int) -> Floats:
+def field_jacobian(xy: ArrayLike, size_mm: Floats, terms: Sequence[int] = DEFAULT_TERMS) -> Floats:
+    """(n, 2, 2) mm, since the disc has no unit: d(component)/d(x, y) of what `field` gives; `xy`
+    (n, 2) dimensionless, and `size_mm` (len(terms),).
+    """
+    flat = _values(xy, 1, _summed(size_mm, terms, 1))
+    return flat.reshape(len(flat), 2, 2)
+
+
+def _summed(size: Floats, terms: Sequence[int], order: int) -> Floats:
+    """(p, m): m polynomials in one for each component, so that a point asks for no term by itself."""
+    chosen = _monomials(order)[2][list(terms)]
+    return np.tensordot(size, chosen, axes=1)
+
+
+def _values(xy: ArrayLike, order: int, polynomials: Floats) -> Floats:
+    """(n, p) of `polynomials` (p, m) in the monomials of this order, at points (n, 2)."""
     xy = np.asarray(xy, dtype=np.float64)
-    a, b, coefficients = _monomials(order)
+    a, b, _ = _monomials(order)
     x = np.vander(xy[:, 0], _DEGREE + 1, increasing=True)
     y = np.vander(xy[:, 1], _DEGREE + 1, increasing=True)
-    chosen = coefficients[list(terms)]
-    k, p = chosen.shape[:2]
-    values = (x[:, a] * y[:, b]) @ chosen.reshape(k * p, -1).T
-    return np.moveaxis(values.reshape(len(xy), k, p), 0, 1)
+    values: Floats = (x[:, a] * y[:, b]) @ polynomials.T
+    return values

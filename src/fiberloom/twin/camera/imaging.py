@@ -158,7 +158,7 @@ class Optics:
         place = p / self.field_radius_mm
         terms = list(self.distortion_mm)
         values = np.array([self.distortion_mm[t] for t in terms])
-        bent = np.einsum("k,knc->nc", values, zhao_burge.basis(place, terms)) if terms else 0.0
+        bent = zhao_burge.field(place, values, terms)
         r2 = np.sum(place**2, axis=1, keepdims=True)
         k3, k5 = self.radial
         drift = air_shift_mm(
