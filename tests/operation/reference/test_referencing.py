@@ -110,6 +110,27 @@ def test_the_moves_of_the_referencing_are_none_of_the_observation(told, tmp_path
     assert kinds.count("start") == 2  # as found, and as referenced
 
 
+def test_where_the_camera_proves_all_nobody_folds_before_the_blind_move(monkeypatch, told, tmp_path):
+    goals, looked = [], []
+    go, look = FieldMotion.go, FieldMotion.look
+
+    async def going(motion, to, *how):
+        goals.append((to.angles_deg, bool(told)))
+        await go(motion, to, *how)
+
+    async def looking(motion, *how):
+        looked.append(bool(told))
+        return await look(motion, *how)
+
+    monkeypatch.setattr(FieldMotion, "go", going)
+    monkeypatch.setattr(FieldMotion, "look", looking)
+    observed(field(MANY), tmp_path)
+    ((unfolded_deg, _),) = [goal for goal in goals if not goal[1]]
+    assert (np.abs(unfolded_deg - PLANE.park_deg).max(axis=1) > 30.0).all()
+    # as found, once those elsewhere are told, unfolded, and once the turns are told
+    assert looked.count(False) == 4
+
+
 def test_without_it_nothing_moves(monkeypatch, tmp_path):
     async def nothing(motion):
         return Referenced()

@@ -6,8 +6,8 @@ What the camera proves is declared; what it cannot prove is searched, where the 
 2. Those that are seen where they report, within what the begin check allows, are told that they are there.
    They may be off by a turn or two, which is not seen of a folded arm.
 3. So they unfold, by a verified plan, to places where a turn of either motor shows. There the camera counts
-   the turns; those that are off are told so, and all fold again. One of the first step whose turns are not
-   proved there searches its datum.
+   the turns; those that are off are told so. One of the first step whose turns are not proved there searches
+   its datum. Before any search all fold again; without one they stay, for the next plan begins anywhere.
 4. One that the image does not show searches its datum, as `fiberloom home` does. It is folded but for some
    motor turns, if it says that its position was restored; else it may be anywhere, and its whole reach has to
    be free. So does one that is seen where no turns explain it. And so do all where the layout itself is not
@@ -164,6 +164,7 @@ class _Referencing:
         """(N,) told the likeliest turns, which no unfolded arm has proved yet."""
         self.counted_deg: Floats = np.full((len(self.lost), 2), np.inf)
         """(N, 2) where each was when its turns were last counted."""
+        self.unfolded = False
         self.layout_known = motion.state.looser_mm == 0.0
 
     @property
@@ -181,9 +182,9 @@ class _Referencing:
                 break
         await declare_seen_right(self.motion)
         await self._count_turns()
-        await self._search()
-        self.motion.presumed[:] = False
-        await self.motion.begin_again()
+        if await self._search() or self.dark.any() or not self.unfolded:
+            self.motion.presumed[:] = False
+            await self.motion.begin_again()
         await declare_seen_right(self.motion)
         self._book()
         return self.done
@@ -237,7 +238,7 @@ class _Referencing:
             self.motion.recorder.event(KIND, text, number)
 
     async def _count_turns(self) -> None:
-        """Unfolds those that may move, counts their motor turns by the image, and folds them again.
+        """Unfolds those that may move, and counts their motor turns by the image.
 
         Where no turns can be told it still shows which do not follow, before others search beside them.
         """
@@ -256,9 +257,13 @@ class _Referencing:
                 break
         if self.layout_known:
             await self._tell_counted(asked, counted)
+        self.unfolded = True
         await motion.begin_again()
-        home_deg = np.where(self.dark[:, None], motion.state.here_deg, self._plane.park_deg)
-        await motion.go(Goals.without_targets(self._plane, home_deg))
+
+    async def _fold(self) -> None:
+        """All that may move, after turns were counted."""
+        home_deg = np.where(self.dark[:, None], self.motion.state.here_deg, self._plane.park_deg)
+        await self.motion.go(Goals.without_targets(self._plane, home_deg))
 
     async def _tell_counted(self, asked: Flags, counted: CountedTurns) -> None:
         off = asked & self.motion.state.mobile & counted.proven & counted.turns.any(axis=1)
@@ -308,20 +313,28 @@ class _Referencing:
         self.done.left |= homing.left_out
         return homing.found
 
-    async def _search(self) -> None:
-        """Those that the camera does not prove."""
+    async def _search(self) -> bool:
+        """Those that the camera does not prove search their datums, among folded neighbours; whether some
+        did."""
+        if self.unfolded and self._doubted().any():
+            await self._fold()
+        if (asked := self._doubted()).any():
+            await self._home(np.flatnonzero(asked))
+        return bool(asked.any())
+
+    def _doubted(self) -> Flags:
+        """(N,) those that can search, and that no image proves."""
         state = self.motion.state
         beginning = state.beginning
         standing = beginning.standing if beginning is not None else [None] * len(self._plane)
-        able = np.array([one not in NOT_SEARCHED for one in standing])
+        able: Flags = np.array([one not in NOT_SEARCHED for one in standing])
         able &= np.array([fault not in DID_NOT_FOLLOW for fault in state.faults])
         tried = np.isin(self._plane.positioner_id, [*self.done.searched, *self.done.left])
         camera_fails = (
             self.dark | self.guessed | ~state.mobile if self.layout_known else np.ones_like(self.dark)
         )
-        asked = self.lost & able & ~tried & camera_fails
-        if asked.any():
-            await self._home(np.flatnonzero(asked))
+        doubted: Flags = self.lost & able & ~tried & camera_fails
+        return doubted
 
     def _book(self) -> None:
         """Who is left, and who was taken as reported."""
