@@ -54,6 +54,17 @@ def test_an_exposure_has_the_number_of_the_move_before_it_and_its_targets(patch,
     assert [goal is goal_mm for _, goal in drawn] == [False, False, True, True, True]
 
 
+def test_the_last_page_is_of_the_observation_not_of_a_comparison(patch, tmp_path, plotted):
+    log = ExposureLog(patch, tmp_path, "last", True)
+    move = [1]
+    log.follow(lambda: move[0], np.zeros((len(patch), 2)), lambda: move[0] == 3)
+    for move[0] in (1, 2, 3):
+        log.seen(reduction(1.0))
+    log.close()
+    assert plotted == ["exposure-02"]
+    assert sorted(p.name for p in log.folder.iterdir())[-1] == "exposure-03.fits"
+
+
 def test_without_an_exposure_there_is_no_last_page(patch, tmp_path, plotted):
     ExposureLog(patch, tmp_path, "last", False).close()
     assert plotted == []

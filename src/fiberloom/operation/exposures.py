@@ -28,6 +28,7 @@ class ExposureLog:
         self.plane, self.folder = plane, out / FOLDER
         self.pages, self.save_images = pages, save_images
         self._number: Callable[[], int] | None = None
+        self._compares: Callable[[], bool] = lambda: False
         self._taken: Counter[int] = Counter()
         self._goal_mm: Floats | None = None
         self._last: Reduction | None = None
@@ -43,21 +44,26 @@ class ExposureLog:
         elif self.save_images:
             raise InputError("--save-images goes with --camera image: this camera takes no images")
 
-    def follow(self, number: Callable[[], int], goal_mm: Floats) -> None:
+    def follow(
+        self, number: Callable[[], int], goal_mm: Floats, compares: Callable[[], bool] = lambda: False
+    ) -> None:
         """From now on exposures have the number of the move before them: `number()`, 0 before the first move.
 
-        `goal_mm` (N, 2): where the metrology fibres should be after a move, NaN without a target.
+        `goal_mm` (N, 2): where the metrology fibres should be after a move, NaN without a target;
+        `compares()`: that move is a comparison, whose exposures are not the last of the observation.
         """
-        self._number, self._goal_mm = number, goal_mm
+        self._number, self._goal_mm, self._compares = number, goal_mm, compares
 
     def seen(self, reduction: Reduction) -> None:
         """Takes the next exposure; what is kept of each one is written before the loop goes on."""
-        self._last, self._last_name = reduction, self._next_name()
+        name = self._next_name()
         if self.save_images:
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_image(reduction.image, self.folder / f"{self._last_name}.fits")
+            write_image(reduction.image, self.folder / f"{name}.fits")
         if self.pages == "all":
-            self._plot(reduction)
+            self._plot(reduction, name)
+        if not self._compares():
+            self._last, self._last_name = reduction, name
 
     def stop(self) -> None:
         """Keeps no further exposures."""
@@ -68,7 +74,7 @@ class ExposureLog:
     def close(self) -> None:
         """Writes the pages of the last exposure, where only those are wanted."""
         if self.pages == "last" and self._last is not None:
-            self._plot(self._last)
+            self._plot(self._last, self._last_name)
 
     def _next_name(self) -> str:
         """With the number of the move; further exposures of the same move count on behind it."""
@@ -77,9 +83,9 @@ class ExposureLog:
         again = f"-{self._taken[move]}" if self._taken[move] > 1 else ""
         return f"exposure-{move:02d}{again}"
 
-    def _plot(self, reduction: Reduction) -> None:
+    def _plot(self, reduction: Reduction, name: str) -> None:
         from fiberloom.report.exposure import plot_reduction  # matplotlib takes a second
 
         moved = self._number is not None and self._number() > 0
         goal_mm = self._goal_mm if moved else None  # before the first move none is at its target
-        plot_reduction(self.folder, self._last_name, self.plane, reduction, goal_mm)
+        plot_reduction(self.folder, name, self.plane, reduction, goal_mm)

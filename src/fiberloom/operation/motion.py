@@ -106,6 +106,8 @@ class FieldMotion:
         """Told of moves while they are made."""
         self.underway = 0
         """Number of the move under way or just made; 0 before the first one."""
+        self.compares = False
+        """That move is a comparison, no part of the observation."""
 
     async def connect(self) -> None:
         """Finds the positioners, and where they and their fibres are.
@@ -175,14 +177,15 @@ class FieldMotion:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
         Taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
-        up to `images`. Raises CameraError where none comes: at once before anything has moved, else after as
-        many tries as the instrument says.
+        up to `images`, after a comparison one, since nothing is corrected by it. Raises CameraError where
+        none comes: at once before anything has moved, else after as many tries as the instrument says.
         """
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
         once = not self.has_moved
-        look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, self.images)
+        most = 1 if self.compares else self.images
+        look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, most)
         self.image = await look
         return self.image
 
@@ -240,7 +243,7 @@ class FieldMotion:
         """
         programme = planned if isinstance(planned, Programme) else await self.drive.compile(planned)
         await asyncio.to_thread(self._verify, programme)
-        self.underway = number
+        self.underway, self.compares = number, comparison
         if self.witness is not None:
             self.witness.begins(BegunMove(number, label, programme.plan, goals, self._bus_s))
         before_deg = self.state.here_deg.copy()

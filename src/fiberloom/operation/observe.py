@@ -228,7 +228,9 @@ class Observer:
                 log.watch(hardware.camera)
                 motion = self._motion(kept, targets, assignment, hardware, run)
                 motion.pointing = settings.pointing
-                log.follow(lambda: motion.underway, metrology_goals_mm(kept, assignment))
+                log.follow(
+                    lambda: motion.underway, metrology_goals_mm(kept, assignment), lambda: motion.compares
+                )
                 steps = steps_of(kept, assignment, targets, settings.exposures)
                 guiding = Guiding.of(hardware.guider, targets.on_sky, kept, assignment)
                 how = settings.loop(kept)
