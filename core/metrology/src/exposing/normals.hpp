@@ -35,9 +35,8 @@ double normal(Random &random);
 // with 53 bits, so that the tails are those of the normal distribution.
 class Normals {
   public:
-    static constexpr int lanes = 8;
+    static constexpr int lanes = 8, most = 8;
     explicit Normals(std::uint64_t seed);
-    static constexpr int most = 8;
     // The next ones, of so many stretches, at most `most`.
     void draw(int stretches, float *z);
 

@@ -314,13 +314,15 @@ class _Referencing:
         return homing.found
 
     async def _search(self) -> bool:
-        """Those that the camera does not prove search their datums, among folded neighbours; whether some
-        did."""
-        if self.unfolded and self._doubted().any():
+        """Those that the camera does not prove search their datums, among folded neighbours; whether anything
+        has moved for it."""
+        if not self._doubted().any():
+            return False
+        if self.unfolded:
             await self._fold()
-        if (asked := self._doubted()).any():
+        if (asked := self._doubted()).any():  # folding shows who does not follow
             await self._home(np.flatnonzero(asked))
-        return bool(asked.any())
+        return True
 
     def _doubted(self) -> Flags:
         """(N,) those that can search, and that no image proves."""
