@@ -62,10 +62,11 @@ class BusClock:
             await self.bus.sleep(duration_s)
 
 
-async def within(work: Awaitable[None], clock: NightClock, timeout_s: float, poll_s: float = 0.05) -> None:
+async def within(work: Awaitable[None], clock: NightClock, timeout_s: float, poll_s: float = 0.01) -> None:
     """Waits for `work`; where it takes longer than `timeout_s` by the `clock` it is cancelled: TimeoutError.
 
-    `poll_s`: how often that is looked at, s of this machine.
+    `poll_s`: how often that is looked at, s of this machine. Seldom enough to cost nothing, and often
+    enough that a twin does not end a stage in between.
     """
     task, end = asyncio.ensure_future(work), clock.now() + timedelta(seconds=timeout_s)
     try:
