@@ -191,6 +191,9 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "1")
 Read when a command imports numpy, later than this.
 """
 
+_NO_PLUGINS = ("PYDANTIC_DISABLE_PLUGINS", "true")
+"""Settings of ours need none: to find some, pydantic reads the files of every installed package."""
+
 _BAD_WORDS: Any = typer.BadParameter.__mro__[2]
 """ClickException, of the click that this typer uses: newer versions of typer contain one."""
 
@@ -201,6 +204,7 @@ def main() -> None:
     # a process that ends gives all back at once: no need to look for cycles among all it has imported
     atexit.register(gc.freeze)
     os.environ.setdefault(*_ONE_THREAD)
+    os.environ.setdefault(*_NO_PLUGINS)
     try:
         code = app_of(sys.argv[1:])(standalone_mode=False)
         if code == INTERRUPTED:  # typer's exit code for Ctrl-C

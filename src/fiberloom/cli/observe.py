@@ -278,9 +278,6 @@ def field_of(options: Any, camera: str = "image") -> Field:
 
     `camera`: of the twin, where none is named.
     """
-    # for each of its settings astropy asks all modules that are loaded for their files: so before the others
-    import astropy.table  # noqa: F401  # isort: split
-
     from fiberloom.connect import open_hardware
     from fiberloom.field import Field
 
