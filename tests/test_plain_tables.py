@@ -131,6 +131,7 @@ def test_a_head_of_more_than_yaml_goes_through_astropy(value, tmp_path):
         ("7 0.1", "7.5 0.1"),
         ("7 0.1", "7"),
         ("7 0.1", '7 ""'),
+        ("7 0.1 True", "7  True"),
         ("[[0.0,1.0]", "[[null,1.0]"),
         ("[[0.0,1.0]", "[[0.0]"),
         ("True", "1"),

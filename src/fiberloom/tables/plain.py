@@ -46,7 +46,8 @@ def read_plain(text: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
 def _read(header: dict[str, Any], rows: str) -> tuple[dict[str, Array], dict[str, Any]]:
     kinds = {column["name"]: column for column in header["datatype"]}
     head = dict(header.get("meta", {}))
-    names, *cells = csv.reader(io.StringIO(rows, newline=""), delimiter=header.get("delimiter", " "))
+    how = {"delimiter": header.get("delimiter", " "), "skipinitialspace": True}
+    names, *cells = csv.reader(io.StringIO(rows, newline=""), **how)
     if names != list(kinds) or len(kinds) < len(header["datatype"]) or "__serialized_columns__" in head:
         raise ValueError("not the columns of the header")
     turned: Iterable[Sequence[str]] = zip(*cells, strict=True) if cells else [()] * len(names)
