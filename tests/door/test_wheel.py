@@ -22,6 +22,7 @@ MODULES = {
     "python-can": "can",
     "pillow": "PIL",
     "pyerfa": "erfa",
+    "PyYAML": "yaml",
     "astropy-iers-data": "astropy_iers_data",
     "prometheus-client": "prometheus_client",
 }

@@ -156,6 +156,8 @@ class Store:
         moves = select(func.count()).where(of_run).scalar_subquery()
         measured = select(func.count()).where(MEASUREMENTS.c.run_id == RUNS.c.id).scalar_subquery()
         query = select(RUNS.c.id, moves.label("n_moves"), measured.label("n_measurements"))
+        if recorded_as is not None:  # a store has many others, whose rows need not be counted
+            query = query.where(RUNS.c.status == recorded_as)
         with self.transaction() as connection:
             rows = checked(connection, RUNS)
             counts = {row["id"]: row for row in connection.execute(query).mappings()}
