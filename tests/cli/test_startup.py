@@ -168,6 +168,6 @@ def test_a_command_loads_no_other_one(folder):
 
 
 def test_an_observation_loads_no_astropy(folder):
-    _, modules, _ = loaded(*"observe good.csv --positioners 7 --moves 1 --out seen".split(), cwd=folder)
+    _, modules, _ = loaded("observe", "good.csv", "--positioners=7", "--moves=1", "--out=seen", cwd=folder)
     assert (folder / "seen/fibres.ecsv").exists()
     assert "astropy" not in modules
