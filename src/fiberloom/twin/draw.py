@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiberloom._core import firmware as _firmware
 from fiberloom._core import twin as _core
@@ -43,7 +44,7 @@ from fiberloom.twin.units import (
     Units,
     defaults,
 )
-from fiberloom.typing import Records
+from fiberloom.typing import Floats, Records
 from fiberloom.units import GEAR, MM_PER_UM, RAD_PER_DEG
 
 BETA_SHARE = 0.1
@@ -168,11 +169,24 @@ def draw_units(
 
 
 def _tell_backlash(units: Units, exactly: bool) -> None:
-    """By generators of its own: what else is drawn stays as it was."""
-    for row, number in enumerate(units.number):
-        for axis in (0, 1):
-            rng = None if exactly else np.random.default_rng([units.seed, int(number), axis, 0xB])
-            _tell(units.firmware[row, axis], known_backlash(units.gear[row, axis], rng))
+    """The mean and the waves of the backlash, as maps tell them: wrong by BACKLASH_SD_DEG, or exactly.
+
+    By generators of its own: what else is drawn stays as it was.
+    """
+    rows = np.searchsorted(ORDERS, list(BACKLASH_WAVES.values()))
+    mean_deg = units.gear["backlash_mean_rad"] / RAD_PER_DEG
+    waves_deg = units.gear["backlash_rad"][:, :, rows] / RAD_PER_DEG
+    if not exactly:
+        wrong_deg = BACKLASH_SD_DEG * np.array(
+            [[_normals(units.seed, number, axis, len(rows)) for axis in (0, 1)] for number in units.number]
+        )
+        mean_deg, waves_deg = mean_deg + wrong_deg[:, :, 0, 0], waves_deg + wrong_deg[:, :, 1:]
+    _tell(units.firmware, wave_parameters(mean_deg, waves_deg))
+
+
+def _normals(seed: int, number: int, axis: int, waves: int) -> Floats:
+    """(waves + 1, 2) for an axis of a unit."""
+    return np.random.default_rng([seed, int(number), axis, 0xB]).normal(size=(waves + 1, 2))
 
 
 def _misbuilt(plane: FocalPlane, units: Units, errors: TwinErrors) -> Units:
@@ -254,22 +268,7 @@ def firmware_truth(plant: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def known_backlash(gear: Records, rng: Rng | None) -> dict[str, float]:
-    """The firmware's parameters (motor deg, phases rad) of the backlash of a `gear`, as its maps tell them.
-
-    The mean and each wave are wrong by BACKLASH_SD_DEG, drawn from `rng`; None: they are right.
-    """
-    waves = dict(zip(ORDERS, gear["backlash_rad"] / RAD_PER_DEG, strict=True))
-    known = np.array([waves[order] for order in BACKLASH_WAVES.values()])
-    wrong = (
-        np.zeros((len(known) + 1, 2))
-        if rng is None
-        else rng.normal(0.0, BACKLASH_SD_DEG, (len(known) + 1, 2))
-    )
-    return wave_parameters(float(gear["backlash_mean_rad"]) / RAD_PER_DEG + wrong[0, 0], known + wrong[1:])
-
-
-def _tell(record: Records, known: Mapping[str, float]) -> None:
+def _tell(record: Records, known: Mapping[str, ArrayLike]) -> None:
     for name, value in known.items():
         record[name] = value
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fiberloom.typing import Floats
 
@@ -26,16 +27,17 @@ def tells_waves(theta_deg: Floats) -> bool:
     return len(theta_deg) > 2 * len(BACKLASH_WAVES) and widest_deg < 180.0 / GEAR_TEETH
 
 
-def wave_parameters(mean_deg: float, coefficients_deg: Floats) -> dict[str, float]:
-    """The firmware's parameters (motor deg, phases rad) of a backlash given by its waves.
+def wave_parameters(mean_deg: ArrayLike, coefficients_deg: Floats) -> dict[str, Floats]:
+    """The firmware's parameters (motor deg, phases rad) of backlashes (...) given by their waves.
 
-    `mean_deg`, and `coefficients_deg` (waves, 2) of cos m theta and sin m theta as in BACKLASH_WAVES.
-    A mean below zero, which noise makes of a gear without backlash, is 0.
+    `mean_deg` (...), and `coefficients_deg` (..., waves, 2) of cos m theta and sin m theta as in
+    BACKLASH_WAVES. A mean below zero, which noise makes of a gear without backlash, is 0.
     """
-    out = {"backlash": max(float(mean_deg), 0.0)}
-    for name, (cosine, sine) in zip(BACKLASH_WAVES, coefficients_deg, strict=True):
-        out[name] = float(np.hypot(cosine, sine))
-        out[f"{name}_phase"] = float(np.arctan2(cosine, sine))
+    out = {"backlash": np.maximum(mean_deg, 0.0)}
+    cosine, sine = np.moveaxis(coefficients_deg, -1, 0)
+    for k, name in enumerate(BACKLASH_WAVES):
+        out[name] = np.hypot(cosine[..., k], sine[..., k])
+        out[f"{name}_phase"] = np.arctan2(cosine[..., k], sine[..., k])
     return out
 
 
@@ -54,4 +56,5 @@ def fitted_waves(theta_deg: Floats, backlash_deg: Floats) -> dict[str, float]:
     held = 0.01 * np.sqrt(len(theta)) * np.diag([0.0] + [1.0] * (len(columns) - 1))
     matrix = np.vstack([np.stack(columns, axis=1), held])
     found = np.linalg.lstsq(matrix, np.append(backlash_deg, np.zeros(len(held))), rcond=None)[0]
-    return wave_parameters(found[0], found[1:].reshape(-1, 2))
+    known = wave_parameters(found[0], found[1:].reshape(-1, 2))
+    return {name: float(value) for name, value in known.items()}

@@ -159,10 +159,11 @@ class TwinErrors:
         Of those that are off one axis is, either one; both are in a quarter of them.
         """
         rng = np.random.default_rng([seed, number, _POWER_STREAM])
-        off = rng.random() < self.power_share
+        if rng.random() >= self.power_share:
+            return 0, 0
         which = rng.choice(3, p=(0.375, 0.375, 0.25))
         size = 1 + np.minimum(rng.geometric(0.5, 2) - 1, self.power_turns - 1)
-        alpha, beta = off * size * rng.choice((-1, 1), 2)
+        alpha, beta = size * rng.choice((-1, 1), 2)
         return int(alpha * (which != 1)), int(beta * (which != 0))
 
     def fiducials_mm(self, plane: FocalPlane, seed: int) -> Floats:
