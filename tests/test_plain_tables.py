@@ -138,6 +138,8 @@ def test_a_head_of_more_than_yaml_goes_through_astropy(value, tmp_path):
         ("\n11 nan", "\n# 11\n11 nan"),
         ("\n11 nan", "\r\n11 nan"),
         ("meta: !!omap", "meta: !astropy.units.Unit"),
+        ("meta: !!omap", "meta: !!omap " + 5000 * "["),
+        ("meta: !!omap\n", "meta: !!omap text\n# other:\n"),
         ("- {seed: 0}", "- {__serialized_columns__: {}}"),
     ],
 )
