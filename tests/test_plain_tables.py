@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 from astropy.table import MaskedColumn, Table
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fiberloom.tables import read_ecsv, write_columns
@@ -47,6 +47,7 @@ def told(column):
 
 
 @given(tables())
+@example(({"c0": ["", " x"]}, {}))
 def test_the_bytes_and_the_values_of_astropy(table):
     columns, head = table
     text = by_astropy(columns, head)
@@ -132,6 +133,7 @@ def test_a_head_of_more_than_yaml_goes_through_astropy(value, tmp_path):
         ("7 0.1", "7"),
         ("7 0.1", '7 ""'),
         ("7 0.1 True", "7  True"),
+        ('True ""', "True "),
         ("[[0.0,1.0]", "[[null,1.0]"),
         ("[[0.0,1.0]", "[[0.0]"),
         ("True", "1"),

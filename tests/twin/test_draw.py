@@ -5,9 +5,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from fiberloom.calibration.commissioning.backlash import BACKLASH_WAVES
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate, load_instrument
 from fiberloom.twin import Fault, Twin, draw_units, worn
+from fiberloom.twin.draw import BACKLASH_SD_DEG
 from fiberloom.twin.errors.switches import GearSpectrum
 from fiberloom.twin.units import ORDERS
 
@@ -119,6 +121,31 @@ def test_another_spectrum_is_the_same_unit_with_other_gears(gears):
     assert alone.gear.tobytes() == other.gear[[17]].tobytes()
     with pytest.raises(InputError, match="gears 'worm': must be one of stages, teeth, family"):
         draw_units(PLANE.select([0]), seed=7, gears="worm")
+
+
+def told_backlash(units):
+    """(N, 2, 9) motor deg: the mean, then cosine and sine of each wave that the firmware was told."""
+    told = units.firmware
+    waves = [
+        turned
+        for name in BACKLASH_WAVES
+        for turned in (
+            told[name] * np.sin(told[f"{name}_phase"]),
+            told[name] * np.cos(told[f"{name}_phase"]),
+        )
+    ]
+    return np.stack([told["backlash"], *waves], axis=-1)
+
+
+def test_the_firmware_knows_the_backlash_of_its_gear_as_maps_tell_it():
+    """The mean and each wave wrong by a motor degree; or exactly."""
+    gear = UNITS.gear
+    waves = gear["backlash_rad"][:, :, np.isin(ORDERS, list(BACKLASH_WAVES.values()))].reshape(-1, 2, 8)
+    true = np.rad2deg(np.concatenate([gear["backlash_mean_rad"][..., None], waves], axis=-1))
+    exact = draw_units(PLANE, seed=7, firmware="true")
+    np.testing.assert_allclose(told_backlash(exact), true, atol=1e-3)
+    off = told_backlash(UNITS) - true
+    assert np.sqrt(np.mean(off**2, axis=(0, 1))) == pytest.approx(np.full(9, BACKLASH_SD_DEG), rel=0.3)
 
 
 def test_36_teeth_show():
