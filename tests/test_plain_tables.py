@@ -17,7 +17,7 @@ NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, 1e-320, 1.5e300])
 LETTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Zl", "Zp"]) | st.sampled_from(' \n"\t')
 WORDS = st.text(LETTERS, max_size=6)
 """Without what ends a line for one reader and not for another."""
-CELLS = [NUMBERS, st.integers(-(2**63), 2**63 - 1), st.booleans(), WORDS]
+CELLS = [NUMBERS, st.integers(-(2**63), 2**63 - 1), WORDS]
 HEADS = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | WORDS,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(WORDS, inner, max_size=3),
@@ -67,7 +67,7 @@ def test_the_bytes_and_the_values_of_astropy(table):
 PLAIN = {
     "positioner_id": [7, 11],
     "x_mm": np.array([0.1, np.nan]),
-    "ok": [True, False],
+    "n": np.array([-1, 2**40]),
     "reason": ["", 'it "slips"\nby a turn'],
     "covariance": np.arange(8.0).reshape(2, 2, 2),
 }
@@ -79,17 +79,9 @@ def test_what_calibrations_hold_is_plain():
     assert text == by_astropy(PLAIN, HEAD)
     columns, head = read_plain(text)
     assert head == HEAD
-    assert {name: np.asarray(column).tolist() for name, column in columns.items() if name != "x_mm"} == {
-        name: np.asarray(column).tolist() for name, column in PLAIN.items() if name != "x_mm"
-    }
-    np.testing.assert_array_equal(columns["x_mm"], PLAIN["x_mm"])
-
-
-@pytest.mark.parametrize("delimiter", [" ", ","])
-def test_both_delimiters(delimiter):
-    text = io.StringIO()
-    Table(PLAIN).write(text, format="ascii.ecsv", delimiter=delimiter)
-    assert read_plain(text.getvalue())[0]["reason"].tolist() == PLAIN["reason"]
+    assert list(columns) == list(PLAIN)
+    for name, column in PLAIN.items():
+        np.testing.assert_array_equal(columns[name], column)
 
 
 @pytest.mark.parametrize(
@@ -97,11 +89,12 @@ def test_both_delimiters(delimiter):
     [
         MaskedColumn([1, 2], mask=[False, True]),
         np.array([1, 2], dtype=np.float32),
+        [True, False],
         [None, 1.0],
         [[1], [1, 2]],
         ["#first", "b"],
     ],
-    ids=["masked", "single", "none", "ragged", "comment"],
+    ids=["masked", "single", "flags", "none", "ragged", "comment"],
 )
 def test_more_than_plain_columns_go_through_astropy(column, tmp_path):
     """Which reads and writes them as ever: what comes back is what was written."""
@@ -132,11 +125,11 @@ def test_a_head_of_more_than_yaml_goes_through_astropy(value, tmp_path):
         ("7 0.1", "7.5 0.1"),
         ("7 0.1", "7"),
         ("7 0.1", '7 ""'),
-        ("7 0.1 True", "7  True"),
-        ('True ""', "True "),
+        ("7 0.1 -1", "7  -1"),
+        ('-1 ""', "-1 "),
         ("[[0.0,1.0]", "[[null,1.0]"),
         ("[[0.0,1.0]", "[[0.0]"),
-        ("True", "1"),
+        ("# schema", "# delimiter: ','\n# schema"),
         ("\n11 nan", "\n# 11\n11 nan"),
         ("\n11 nan", "\r\n11 nan"),
         ("meta: !!omap", "meta: !astropy.units.Unit"),

@@ -271,6 +271,14 @@ def test_work_that_is_done_in_time_gives_its_error():
         asyncio.run(within(bad(), WorldClock(), 5.0))
 
 
+def test_work_of_a_quick_twin_that_took_too_long_is_too_late_although_it_has_ended():
+    """Between two looks at its clock."""
+    bus = Bus()
+    with pytest.raises(TimeoutError, match="not done within 5 s"):
+        asyncio.run(within(bus.sleep(5.1), BusClock(NOON, bus), 5.0))
+    asyncio.run(within(bus.sleep(4.9), BusClock(NOON, bus), 5.0))
+
+
 def test_a_shutter_opens_once_for_a_key_and_remembers(tmp_path):
     bus = Bus()
     log, clock = tmp_path / "log.jsonl", BusClock(NOON, bus)

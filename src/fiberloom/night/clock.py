@@ -62,18 +62,23 @@ class BusClock:
             await self.bus.sleep(duration_s)
 
 
-async def within(work: Awaitable[None], clock: NightClock, timeout_s: float, poll_s: float = 0.01) -> None:
-    """Waits for `work`; where it takes longer than `timeout_s` by the `clock` it is cancelled: TimeoutError.
+async def within(work: Awaitable[None], clock: NightClock, timeout_s: float, poll_s: float = 0.05) -> None:
+    """Waits for `work`; where it takes longer than `timeout_s` by the `clock`: TimeoutError, and it is
+    cancelled, unless it has ended by itself before that was seen.
 
-    `poll_s`: how often that is looked at, s of this machine. Seldom enough to cost nothing, and often
-    enough that a twin does not end a stage in between.
+    `poll_s`: how often that is looked at, s of this machine.
     """
     task, end = asyncio.ensure_future(work), clock.now() + timedelta(seconds=timeout_s)
+
+    def in_time() -> None:
+        if clock.now() > end:
+            raise TimeoutError(f"not done within {timeout_s:g} s")
+
     try:
         while not (await asyncio.wait({task}, timeout=poll_s))[0]:
-            if clock.now() > end:
-                raise TimeoutError(f"not done within {timeout_s:g} s")
+            in_time()
         task.result()
+        in_time()  # a twin lives through minutes between two looks
     finally:
         if not task.done():
             task.cancel()

@@ -81,8 +81,8 @@ def save(figure: Figure, path: Path, dpi: int = 120) -> None:
 
 
 def _save_png(figure: Figure, path: Path, dpi: int) -> None:
-    """Without transparency, and compressed quickly: matplotlib's own are little different, and take twice as
-    long.
+    """Without a layer of transparency, and compressed quickly: by the usual level the file would be little
+    smaller, and take longer.
     """
     drawn = io.BytesIO()
     figure.savefig(drawn, format="rgba", dpi=dpi)

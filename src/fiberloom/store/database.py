@@ -161,7 +161,8 @@ class Store:
         with self.transaction() as connection:
             rows = checked(connection, RUNS)
             counts = {row["id"]: row for row in connection.execute(query).mappings()}
-            chosen = [row for row in rows if recorded_as in (None, row["status"])]
+            # another process may have changed a status in between
+            chosen = [row for row in rows if recorded_as in (None, row["status"]) and row["id"] in counts]
             return [info_of({**row, **counts[row["id"]]}) for row in chosen]
 
     def last_run(self) -> Run:

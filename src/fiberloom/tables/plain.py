@@ -1,7 +1,7 @@
 """ECSV of plain columns as text: a YAML header, then rows of cells.
 
-Numbers, text and arrays of numbers, which is all that calibrations and results hold. To import what astropy
-reads and writes them with takes as long as to plan a field; these are the same bytes and the same values.
+Numbers, text and arrays of numbers, which is all that calibrations and results hold: the same bytes and the
+same values as by astropy, without its import.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ import yaml
 
 from fiberloom.typing import Array
 
-_NUMBERS = ("int64", "float64")
-_KINDS = (*_NUMBERS, "bool", "string")
+_NUMBERS = {"int64": int, "float64": float}
 _HEAD = re.compile(r"# %ECSV 1\.0\n# ---\n((?:# .*\n)+)")
-_ARRAY = re.compile(r"(int64|float64)(\[\d+(?:,\d+)*\])")
+_ARRAY = re.compile(r"float64(\[\d+(?:,\d+)*\])")
 _NAME = re.compile(r"\w+")
 _QUOTED = re.compile(r'^$|[ "\n\r]')
 _SCHEMA, _PAGE = "astropy-2.0", 130
@@ -46,46 +45,36 @@ def read_plain(text: str) -> tuple[dict[str, Array], dict[str, Any]] | None:
 def _read(header: dict[str, Any], rows: str) -> tuple[dict[str, Array], dict[str, Any]]:
     kinds = {column["name"]: column for column in header["datatype"]}
     head = dict(header.get("meta", {}))
-    how = {"delimiter": header.get("delimiter", " "), "skipinitialspace": True}
-    names, *cells = csv.reader(io.StringIO(rows, newline=""), **how)
-    if names != list(kinds) or len(kinds) < len(header["datatype"]) or "__serialized_columns__" in head:
-        raise ValueError("not the columns of the header")
+    names, *cells = csv.reader(io.StringIO(rows, newline=""), delimiter=" ", skipinitialspace=True)
+    _require(names == list(kinds) and len(kinds) == len(header["datatype"]))
+    _require("delimiter" not in header and "__serialized_columns__" not in head)
     turned: Iterable[Sequence[str]] = zip(*cells, strict=True) if cells else [()] * len(names)
     named = zip(kinds.items(), turned, strict=True)
     return {name: _column(kind, list(column)) for (name, kind), column in named}, head
 
 
 def _column(kind: Mapping[str, Any], cells: list[str]) -> Array:
-    datatype = kind["datatype"]
-    if datatype not in _KINDS:
-        raise ValueError(datatype)
     if "subtype" in kind:
         return _arrays(_ARRAY.fullmatch(kind["subtype"]), cells)
-    if datatype == "bool":
-        return np.array([{"True": True, "False": False}[cell] for cell in cells], dtype=np.bool_)
-    if datatype == "string":
-        return _trimmed(np.array(cells, dtype=np.str_))
-    return np.array(list(map(float if datatype == "float64" else int, cells)), dtype=datatype)
-
-
-def _trimmed(text: Array) -> Array:
-    if not _is_trimmed(text):
-        raise ValueError("blanks around text")
+    if kind["datatype"] in _NUMBERS:
+        return np.array(list(map(_NUMBERS[kind["datatype"]], cells)), dtype=kind["datatype"])
+    text = np.array(cells, dtype=np.str_)
+    _require(kind["datatype"] == "string" and _is_trimmed(text))
     return text
 
 
 def _arrays(kind: re.Match[str] | None, cells: list[str]) -> Array:
-    if kind is None or any("null" in cell for cell in cells):
-        raise ValueError("not arrays of numbers")
-    shape = (len(cells), *json.loads(kind[2]))
-    array = np.array([json.loads(cell) for cell in cells], dtype=kind[1])
-    return array.reshape(shape) if not cells else _as_told(array, shape)
+    _require(kind is not None and not any("null" in cell for cell in cells))
+    array = np.array([json.loads(cell) for cell in cells], dtype=np.float64)
+    shape = (len(cells), *json.loads(kind[1])) if kind else ()
+    _require(not cells or array.shape == shape)
+    return array.reshape(shape)
 
 
-def _as_told(array: Array, shape: tuple[int, ...]) -> Array:
-    if array.shape != shape:
-        raise ValueError("not of the shape of the header")
-    return array
+def _require(plain: bool) -> None:
+    """Else it is left to astropy."""
+    if not plain:
+        raise ValueError
 
 
 def write_plain(columns: Mapping[str, Any], head: Mapping[str, Any]) -> str | None:
@@ -131,10 +120,10 @@ def _array(column: Any) -> Array | None:
 
 def _is_plain(array: Array) -> bool:
     if array.ndim != 1:
-        return array.ndim > 1 and array.dtype.name in _NUMBERS
+        return array.ndim > 1 and array.dtype.name == "float64"
     if array.dtype.kind == "U":
         return _is_trimmed(array)
-    return array.dtype.name in (*_NUMBERS, "bool")
+    return array.dtype.name in _NUMBERS
 
 
 def _is_trimmed(text: Array) -> bool:
@@ -146,7 +135,7 @@ def _kind(name: str, column: Array) -> dict[str, str]:
     if column.ndim == 1:
         return {"name": name, "datatype": "string" if column.dtype.kind == "U" else column.dtype.name}
     shape = json.dumps(column.shape[1:], separators=(",", ":"))
-    return {"name": name, "datatype": "string", "subtype": f"{column.dtype.name}{shape}"}
+    return {"name": name, "datatype": "string", "subtype": f"float64{shape}"}
 
 
 def _texts(column: Array) -> Iterable[str]:
