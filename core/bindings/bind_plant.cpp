@@ -41,7 +41,7 @@ size_t known(const TestPlant &p, size_t axis) {
 void set_duty(Plant &plant, const double *duty) {
     for (size_t i = 0; i < plant.axis_count(); ++i)
         for (size_t k = 0; k < 3; ++k)
-            plant.group(Plant::place(i).group).duty[k][Plant::place(i).lane] =
+            plant.group(plant.place(i).group).duty[k][plant.place(i).lane] =
                 static_cast<float>(duty[3 * i + k]);
 }
 
@@ -51,7 +51,7 @@ void write_row(Plant &plant, double *row, int32_t *hall) {
         const double values[4] = {s.theta_rad, s.momentum_Nms, s.gear_rad, s.output_rad};
         std::copy(values, values + 4, row + 4 * i);
         for (size_t k = 0; k < 2; ++k)
-            hall[2 * i + k] = plant.group(Plant::place(i).group).hall_cnt[k][Plant::place(i).lane];
+            hall[2 * i + k] = plant.group(plant.place(i).group).hall_cnt[k][plant.place(i).lane];
     }
 }
 
@@ -91,7 +91,7 @@ void drive_torque(Plant &plant, const double *torque_fraction) {
         const double field = plant.motor_rad(i) + (u < 0.0 ? -1.5707963267948966 : 1.5707963267948966);
         const double phase[3] = {field + third, field - third, field};
         for (size_t k = 0; k < 3; ++k)
-            plant.group(Plant::place(i).group).duty[k][Plant::place(i).lane] =
+            plant.group(plant.place(i).group).duty[k][plant.place(i).lane] =
                 static_cast<float>(0.5 * std::abs(u) * (1.0 + std::cos(phase[k])));
     }
 }

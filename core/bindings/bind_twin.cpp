@@ -219,6 +219,8 @@ void bind_setup(nb::module_ &m) {
         .def_rw("neighbours", &TwinSetup::neighbours, "arms that touch push each other")
         .def_rw("skip_resting", &TwinSetup::skip_resting, "leave out what would change nothing")
         .def_rw("side_by_side", &TwinSetup::side_by_side, "laws of several axes at once; the same bits")
+        .def_rw("sort_lanes", &TwinSetup::sort_lanes,
+                "at START positioners whose ways end about together are stepped together; the same bytes")
         .def_prop_rw(
             "substeps", [](const TwinSetup &s) { return std::pair(s.substeps.all, s.substeps.pushing); },
             [](TwinSetup &s, const SubstepsArgument &substeps) { s.substeps = substeps_of(substeps); },
@@ -249,6 +251,8 @@ void bind_readings(nb::class_<Twin> &twin) {
         .def_prop_ro("ticks_run", &Twin::ticks_run)
         .def_prop_ro("single_ticks", &Twin::single_ticks)
         .def_prop_ro("ticks_skipped", &Twin::ticks_skipped)
+        .def_prop_ro("group_ticks", &Twin::group_ticks,
+                     "Ticks of groups of lanes in which one of their positioners was awake.")
         .def_prop_ro("slices", &Twin::slices, "Spans of time in which threads did not wait for each other.")
         .def("bounds_mm", &twin_bounds, nb::arg("ticks"),
              "The farthest (N,) that arms can come within 4 to 256 ticks from now, unless one begins to push "

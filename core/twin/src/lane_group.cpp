@@ -42,17 +42,19 @@ uint32_t lanes_of(const int32_t (&flags)[lane_group_size]) {
 
 } // namespace
 
-void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side) {
+void LaneGroup::attach(Plant &plant, size_t group, Positioner *positioners, const PositionerGroup &notes,
+                       bool side_by_side) {
     plant_ = &plant;
     group_ = &plant.group(group);
     positioners_ = positioners;
-    count_ = count;
+    members_ = plant.members(group).data();
+    notes_ = &notes;
     side_by_side_ = side_by_side;
 }
 
 bool LaneGroup::gather() {
-    awake_ = positioners_->group().awake;
-    each(awake_ & ~cruise_, [&](size_t i) { positioners_[i].fetch(); });
+    awake_ = notes_->awake;
+    each(awake_ & ~cruise_, [&](size_t i) { in_lane(i).fetch(); });
     return awake_ != 0;
 }
 
@@ -71,7 +73,7 @@ void LaneGroup::tick(uint64_t tick, LawScratch &scratch) {
     if (tick >= next_leave_) take_out_due(tick);
     runs_ = 0;
     each(awake_ & ~cruise_, [&](size_t i) {
-        if (positioners_[i].begin_tick(tick)) runs_ |= 1U << i;
+        if (in_lane(i).begin_tick(tick)) runs_ |= 1U << i;
     });
     for (int axis = 0; axis < FL_AXES; ++axis) tick_axis(axis, tick, scratch);
     if (side_by_side_) each(runs_, [&](size_t i) { set_out(i, tick + 1); });
@@ -80,12 +82,12 @@ void LaneGroup::tick(uint64_t tick, LawScratch &scratch) {
 // Their firmware has not been touched for long: it is asked for while the one before is taken out.
 void LaneGroup::take_out_due(uint64_t tick) {
     uint32_t due = 0;
-    each(cruise_, [&](size_t i) { due |= static_cast<uint32_t>(until_[i] <= tick) << i; });
+    each(cruise_, [&](size_t i) { due |= static_cast<uint32_t>(since_[i] + ticks_[i] <= tick) << i; });
     if (due == 0) return;
-    positioners_[std::countr_zero(due)].fetch();
+    in_lane(static_cast<size_t>(std::countr_zero(due))).fetch();
     for (uint32_t left = due; left != 0; left &= left - 1) {
         const uint32_t after = left & (left - 1);
-        if (after != 0) positioners_[std::countr_zero(after)].fetch();
+        if (after != 0) in_lane(static_cast<size_t>(std::countr_zero(after))).fetch();
         take_out(static_cast<size_t>(std::countr_zero(left)), tick, {false, false});
     }
     find_next();
@@ -102,7 +104,7 @@ uint32_t LaneGroup::lanes_for(const Positioner &p, size_t i) const {
 }
 
 void LaneGroup::set_out(size_t i, uint64_t tick) {
-    const Positioner &p = positioners_[i];
+    const Positioner &p = in_lane(i);
     const fl_axis_t *axes = p.firmware().axis;
     if (fl_axis_rests(&axes[FL_ALPHA]) && fl_axis_rests(&axes[FL_BETA])) return;
     const uint32_t ticks = lanes_for(p, i);
@@ -122,8 +124,8 @@ void LaneGroup::set_out(size_t i, uint64_t tick) {
     }
     cruise_ |= bit;
     since_[i] = tick;
-    until_[i] = tick + ticks;
-    next_leave_ = std::min(next_leave_, until_[i]);
+    ticks_[i] = ticks;
+    next_leave_ = std::min(next_leave_, tick + ticks);
 }
 
 void LaneGroup::leave(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
@@ -138,12 +140,12 @@ void LaneGroup::find_next() {
         each(cruise_axis_[axis], [&](size_t k) { laws_[axis] |= 1U << batches_[axis].law[k]; });
     }
     next_leave_ = UINT64_MAX;
-    each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, until_[k]); });
+    each(cruise_, [&](size_t k) { next_leave_ = std::min(next_leave_, since_[k] + ticks_[k]); });
 }
 
 void LaneGroup::take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done) {
     const uint32_t bit = 1U << i;
-    Positioner &p = positioners_[i];
+    Positioner &p = in_lane(i);
     for (size_t axis = 0; axis < FL_AXES; ++axis) {
         if ((cruise_axis_[axis] & bit) == 0) continue;
         LawBatch &b = batches_[axis];
@@ -169,8 +171,8 @@ void LaneGroup::take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done
 uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {
     uint32_t fell = 0;
     each(awake_ & ~cruise_, [&](size_t i) {
-        positioners_[i].rest(*plant_, tick, may_sleep);
-        fell |= static_cast<uint32_t>(positioners_[i].asleep()) << i;
+        in_lane(i).rest(*plant_, tick, may_sleep);
+        fell |= static_cast<uint32_t>(in_lane(i).asleep()) << i;
     });
     return fell;
 }
@@ -200,7 +202,7 @@ void LaneGroup::drive(int axis, uint64_t tick, LawBatch &b, LawScratch &s) {
     const auto end = [&](size_t i) {
         leave(i, tick, {true, axis == FL_BETA});
         runs_ |= 1U << i;
-        conclude(axis, {&positioners_[i], static_cast<int>(i), {}}, b, s);
+        conclude(axis, {&in_lane(i), static_cast<int>(i), {}}, b, s);
     };
     each(lanes_of(s.stuck) & heeds_[at], end);
     if (settles_[at] != 0) {
@@ -218,8 +220,8 @@ void LaneGroup::tick_axis(int axis, uint64_t tick, LawScratch &scratch) {
     std::array<Tracker, lane_group_size> trackers; // the first `count`
     size_t count = 0;
     each(runs_, [&](size_t i) {
-        if (ask(axis, positioners_[i], static_cast<int>(i), batch))
-            trackers[count++] = {&positioners_[i], static_cast<int>(i), {}};
+        if (ask(axis, in_lane(i), static_cast<int>(i), batch))
+            trackers[count++] = {&in_lane(i), static_cast<int>(i), {}};
     });
     if (count == 0 && cruise == 0) return;
     plant_->kernel().hall_law(batch, scratch);

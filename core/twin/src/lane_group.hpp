@@ -12,14 +12,15 @@ namespace fl::twin {
 
 class LaneGroup {
   public:
-    // positioners: count of them, at most lane_group_size, the group's of the plant.
+    // positioners: all of the plant; notes: of those with axes in this group of it.
     // side_by_side: laws of several axes at once where they track; false: every positioner's own tick, the
     // same bits.
-    void attach(Plant &plant, size_t group, Positioner *positioners, size_t count, bool side_by_side);
+    void attach(Plant &plant, size_t group, Positioner *positioners, const PositionerGroup &notes,
+                bool side_by_side);
 
     // Between slices: notes which positioners are awake. False when none is.
     bool gather();
-    // Before `tick`: what the lanes hold of positioner i of the group goes back to it. Nothing but ticks may
+    // Before `tick`: what the lanes hold of the positioner in lane i goes back to it. Nothing but ticks may
     // read or change its firmware before.
     void release(size_t i, uint64_t tick);
     // A bit for each lane of the plant's group whose firmware may look at its angle or set its duties in the
@@ -40,9 +41,6 @@ class LaneGroup {
     // Positioners whose own firmware did the last tick of the group.
     size_t single_ticks() const { return awake_ != 0 ? static_cast<size_t>(std::popcount(runs_)) : 0; }
 
-    const Positioner *begin() const { return positioners_; }
-    const Positioner *end() const { return positioners_ + count_; }
-
   private:
     // An axis that tracks, and what its firmware asked of the law.
     struct Tracker {
@@ -50,6 +48,7 @@ class LaneGroup {
         int lane;
         fl_axis_demand_t demand;
     };
+    Positioner &in_lane(size_t lane) const { return positioners_[members_[lane]]; }
     void tick_axis(int axis, uint64_t tick, LawScratch &scratch);
     // A positioner whose axes cruise or rest may leave its ticks to the lanes, until the tick `until`.
     void set_out(size_t i, uint64_t tick);
@@ -71,15 +70,17 @@ class LaneGroup {
     Plant *plant_ = nullptr;
     AxisGroup *group_ = nullptr;
     Positioner *positioners_ = nullptr;
-    size_t count_ = 0;
+    const uint16_t *members_ = nullptr; // those in the lanes of the group: the plant may rearrange them
+    const PositionerGroup *notes_ = nullptr;
     bool side_by_side_ = true;
     uint32_t awake_ = 0, runs_ = 0; // positioners that are awake; and whose ticks their firmware does
     // positioners in the lanes, a bit each: all, by axis, and those of an axis that heed what blocks or
     // settle
     uint32_t cruise_ = 0;
     std::array<uint32_t, FL_AXES> cruise_axis_{}, heeds_{}, settles_{};
-    std::array<uint64_t, lane_group_size> since_{}, until_{};
-    std::array<uint32_t, FL_AXES> laws_{}; // of those in the lanes: a bit of 1 << law for each
+    std::array<uint64_t, lane_group_size> since_{};
+    std::array<uint32_t, lane_group_size> ticks_{}; // from then on, to the one at which it leaves
+    std::array<uint32_t, FL_AXES> laws_{};          // of those in the lanes: a bit of 1 << law for each
     uint64_t next_leave_ = UINT64_MAX;
     // axes whose configuration lies in the batch, by lane: until a release
     std::array<std::array<bool, lane_group_size>, FL_AXES> loaded_{};

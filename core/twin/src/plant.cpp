@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -49,6 +50,12 @@ void check(size_t axis, const Unit &unit) {
         refuse(axis, fault);
 }
 
+size_t positioners_of(size_t axes) {
+    const size_t positioners = (axes + 1) / 2, most = size_t{UINT16_MAX} + 1;
+    if (positioners > most) throw std::invalid_argument("a plant has 131072 axes at most");
+    return positioners;
+}
+
 void check_substeps(Substeps substeps) {
     if (substeps.all < 1 || substeps.all > 100000)
         throw std::invalid_argument("substeps: 1 to 100000 a tick");
@@ -62,10 +69,6 @@ uint32_t noise_key(uint64_t seed, uint64_t axis) {
     z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ULL;
     z = (z ^ (z >> 27)) * 0x94D049BB133111EBULL;
     return static_cast<uint32_t>((z ^ (z >> 31)) >> 16);
-}
-
-size_t axis_at(size_t group, size_t lane) {
-    return 2 * (group * lane_group_size + lane % lane_group_size) + lane / lane_group_size;
 }
 
 // Lanes without an axis must be harmless to step: nothing moves them, no division by zero.
@@ -85,7 +88,8 @@ AxisGroup idle_group() {
 
 Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_rad, uint64_t seed,
              const char *kernel, Substeps substeps)
-    : kernel_(kernel_by_name(kernel)), substeps_(substeps), h_s_(tick_s / substeps.all) {
+    : kernel_(kernel_by_name(kernel)), substeps_(substeps), h_s_(tick_s / substeps.all),
+      members_(positioners_of(units.size())), slots_(members_.size()) {
     if (units.size() != output_rad.size()) throw std::invalid_argument("one output angle for every axis");
     check_substeps(substeps);
     axes_.resize(units.size());
@@ -93,6 +97,8 @@ Plant::Plant(const std::vector<Unit> &units, const std::vector<double> &output_r
         first_params_[axis] = units[axis].params;
     groups_.assign((units.size() + lane_count - 1) / lane_count, idle_group());
     slipping_.assign(groups_.size(), 0);
+    std::iota(members_.begin(), members_.end(), uint16_t{0});
+    slots_ = members_;
     for (size_t axis = 0; axis < units.size(); ++axis) {
         check(axis, units[axis]);
         keep_params(axis, units[axis].params);
@@ -108,9 +114,30 @@ const Plant::Broken Plant::whole;
 
 size_t Plant::bytes() const {
     size_t bytes = axes_.capacity() * sizeof(Axis) + groups_.capacity() * sizeof(AxisGroup);
+    bytes += (members_.capacity() + slots_.capacity()) * sizeof(uint16_t);
     for (const Axis &a : axes_)
         bytes += a.gear.bytes() + a.params.held_bytes() + (a.broken ? sizeof(Broken) : size_t{0});
     return bytes;
+}
+
+void Plant::rearrange(const std::vector<uint16_t> &members) {
+    std::vector<AxisGroup> groups(groups_.size(), idle_group());
+    std::vector<uint64_t> slipping(groups_.size(), 0);
+    for (size_t slot = 0; slot < members.size(); ++slot) {
+        for (size_t axis = 2 * size_t{members[slot]};
+             axis < std::min(2 * size_t{members[slot]} + 2, axes_.size()); ++axis) {
+            const Place from = place(axis);
+            const size_t group = slot / lane_group_size;
+            const size_t lane = axis % 2 * lane_group_size + slot % lane_group_size;
+            copy_lane(groups_[from.group], static_cast<size_t>(from.lane), groups[group], lane);
+            slipping[group] |= (slipping_[from.group] >> from.lane & 1) << lane;
+        }
+    }
+    // where they are: others keep their addresses
+    std::copy(groups.begin(), groups.end(), groups_.begin());
+    std::copy(members.begin(), members.end(), members_.begin());
+    slipping_ = std::move(slipping);
+    for (size_t slot = 0; slot < members.size(); ++slot) slots_[members[slot]] = static_cast<uint16_t>(slot);
 }
 
 void Plant::step(size_t group, uint64_t used) {

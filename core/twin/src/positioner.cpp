@@ -11,14 +11,10 @@
 
 namespace fl::twin {
 
-namespace {
-constexpr uint8_t start_command = 14; // START_TRAJECTORY
-}
-
-void Positioner::attach(PositionerGroup &group, size_t index) {
-    group_ = &group;
-    index_ = static_cast<uint32_t>(index);
-    group_->awake |= 1U << lane();
+void Positioner::attach(PositionerGroup &group, size_t index, size_t lane) {
+    move(group, lane);
+    index_ = static_cast<uint16_t>(index);
+    group_->awake |= 1U << lane_;
 }
 
 fl_port_t Positioner::port() {
@@ -103,13 +99,13 @@ bool Positioner::loads_follow(const Plant &plant) const {
 void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
     if (!may_sleep || !fl_positioner_at_rest(&firmware_)) return;
     if (!still() || scoped() || !loads_follow(plant)) return;
-    group_->awake &= ~(1U << lane());
+    group_->awake &= ~(1U << lane_);
     asleep_since_ = tick;
 }
 
 void Positioner::wake(uint64_t tick) {
     if (!asleep()) return;
-    group_->awake |= 1U << lane();
+    group_->awake |= 1U << lane_;
     const uint64_t ticks = tick - asleep_since_;
     group_->skipped += ticks;
     if (ticks > 0) fl_positioner_skip(&firmware_, static_cast<uint32_t>(ticks));

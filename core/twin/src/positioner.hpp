@@ -11,6 +11,8 @@
 
 namespace fl::twin {
 
+inline constexpr uint8_t start_command = 14; // START_TRAJECTORY
+
 struct Sent {
     Reply reply;
     size_t sender; // index of the positioner
@@ -50,6 +52,7 @@ struct alignas(64) PositionerGroup {
     bool moved = false;                  // it has run since then
     uint64_t now = 0;                    // tick of the last call into a firmware of them
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
+    uint64_t stepped = 0;                // ticks of the group
     Outbox outbox;
 };
 
@@ -60,8 +63,13 @@ class Positioner {
     Positioner &operator=(const Positioner &) = delete;
 
     // index: number in the focal plane; its axes are 2 index and 2 index + 1 of the plant.
-    // group: of its axes, with plant and lanes.
-    void attach(PositionerGroup &group, size_t index);
+    // group: of its axes, with plant and lanes; lane: of alpha there. It is awake.
+    void attach(PositionerGroup &group, size_t index, size_t lane);
+    // Its axes are there from now on. Whether it is awake is for the caller to note.
+    void move(PositionerGroup &group, size_t lane) {
+        group_ = &group;
+        lane_ = static_cast<uint16_t>(lane);
+    }
     // params: flashed at the factory, and those of the first unit, which stay where they are; what the
     // storage holds goes before them.
     void boot(uint16_t id, const FactoryParams::Both &first, const fl_axis_params_t params[FL_AXES]);
@@ -100,7 +108,7 @@ class Positioner {
     // After the ticks before this one: falls asleep when nothing will change.
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
-    bool asleep() const { return (group_->awake >> lane() & 1U) == 0; }
+    bool asleep() const { return (group_->awake >> lane_ & 1U) == 0; }
     const PositionerGroup &group() const { return *group_; }
 
     // Others have had their turn meanwhile: what its firmware touches is asked for at once, not piece by
@@ -147,9 +155,7 @@ class Positioner {
     static uint32_t read_temperature(void *ctx);
     static uint32_t storage_read(void *ctx, uint32_t offset, void *bytes, uint32_t len);
     static uint32_t storage_write(void *ctx, uint32_t offset, const void *bytes, uint32_t len);
-    // Of alpha; beta's is lane_group_size further.
-    size_t lane() const { return index_ % lane_group_size; }
-    size_t lane(int axis) const { return lane() + static_cast<size_t>(axis) * lane_group_size; }
+    size_t lane(int axis) const { return lane_ + static_cast<size_t>(axis) * lane_group_size; }
     size_t number(int axis) const { return 2 * size_t{index_} + static_cast<size_t>(axis); } // in the plant
     fl_port_t port();
     void start(uint16_t id);
@@ -165,7 +171,7 @@ class Positioner {
     PositionerGroup *group_ = nullptr;
     Flash storage_;
     uint64_t asleep_since_ = 0;
-    uint32_t index_ = 0;
+    uint16_t index_ = 0, lane_ = 0; // lane: of alpha; beta's is lane_group_size further
     uint16_t last_hall_[FL_AXES][2] = {};
     std::unique_ptr<std::array<std::vector<ScopeSample>, FL_AXES>> scope_;
     bool scope_on_[FL_AXES] = {false, false};

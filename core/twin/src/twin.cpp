@@ -23,6 +23,7 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
             if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
             s_->hear(i, frame, bus);
         }
+        if (s_->sort_lanes && (frame.id >> 10 & 0xff) == start_command) s_->rearrange();
     } else if (id < s_->index_of_id.size() && s_->index_of_id[id] != no_index) {
         s_->hear(s_->index_of_id[id], frame, bus);
     }
@@ -70,6 +71,12 @@ uint64_t Twin::ticks_run() const {
     uint64_t sum = 0;
     for (size_t i = 0; i < s_->count; ++i) s_->release(i);
     for (const PositionerGroup &group : s_->groups) sum += group.ticks_run;
+    return sum;
+}
+
+uint64_t Twin::group_ticks() const {
+    uint64_t sum = 0;
+    for (const PositionerGroup &group : s_->groups) sum += group.stepped;
     return sum;
 }
 
@@ -158,8 +165,8 @@ void Twin::scope(size_t i, int axis, bool on) {
     Positioner &p = s_->at(i);
     p.wake(s_->now);
     p.start_scope(axis, on);
-    const uint32_t bit = 1U << i % lane_group_size;
-    uint32_t &scoped = s_->scoped[i / lane_group_size];
+    const uint32_t bit = 1U << s_->place(i).lane;
+    uint32_t &scoped = s_->scoped[s_->place(i).group];
     scoped = p.scoped() ? scoped | bit : scoped & ~bit;
 }
 
@@ -171,7 +178,9 @@ std::vector<Touch> Twin::take_touches() {
         all.insert(all.end(), group.outbox.touches.begin(), group.outbox.touches.end());
         group.outbox.touches.clear();
     }
-    std::stable_sort(all.begin(), all.end(), [](const Touch &a, const Touch &b) { return a.tick < b.tick; });
+    std::stable_sort(all.begin(), all.end(), [](const Touch &a, const Touch &b) {
+        return a.tick != b.tick ? a.tick < b.tick : a.first < b.first;
+    });
     return all;
 }
 

@@ -121,6 +121,15 @@ class TwinSetup:
     def side_by_side(self, arg: bool, /) -> None: ...
 
     @property
+    def sort_lanes(self) -> bool:
+        """
+        at START positioners whose ways end about together are stepped together; the same bytes
+        """
+
+    @sort_lanes.setter
+    def sort_lanes(self, arg: bool, /) -> None: ...
+
+    @property
     def substeps(self) -> tuple[int, int]:
         """
         of the plant in a tick: of any axis, and of one that pushes its gear all the time; one number for both
@@ -235,6 +244,10 @@ class Twin:
 
     @property
     def ticks_skipped(self) -> int: ...
+
+    @property
+    def group_ticks(self) -> int:
+        """Ticks of groups of lanes in which one of their positioners was awake."""
 
     @property
     def slices(self) -> int:

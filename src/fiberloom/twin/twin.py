@@ -59,6 +59,8 @@ class Computing(TypedDict, total=False):
     """A positioner at rest costs nothing."""
     side_by_side: bool
     """Laws of the firmware in vectors."""
+    sort_lanes: bool
+    """Positioners whose ways end about together are stepped together from START on."""
     kernel: str
     """Instruction set of the inner loops; empty: the best."""
     substeps: int | tuple[int, int]
@@ -109,6 +111,7 @@ class Twin:
             setup.neighbours = neighbours
             setup.skip_resting = computing.get("skip_resting", True)
             setup.side_by_side = computing.get("side_by_side", True)
+            setup.sort_lanes = computing.get("sort_lanes", True)
             setup.substeps = computing.get("substeps", ADAPTIVE)
             setup.kernel = computing.get("kernel", "")
             setup.bound_scale = computing.get("bound_scale", 1.0)

@@ -27,26 +27,22 @@ Give give_of(const Plant &plant, size_t i) {
 
 // What pushes the arms of a group: all of them are looked at every 2 ms, those that touch in every tick.
 void Twin::State::feel_group(size_t group) {
-    const Rows rows = rows_of(group);
-    for (size_t i = rows.begin; i < rows.end; ++i)
+    for (const size_t i : members(group))
         if (at_sync() ? felt[i] != 0 || neighbours.due(i) <= now + ahead : pushed[i] != 0)
             feel_neighbours(i, groups[group]);
 }
 
 bool Twin::State::in_contact(size_t group) const {
-    const Rows rows = rows_of(group);
-    for (size_t i = rows.begin; i < rows.end; ++i)
-        if (touches(i)) return true;
-    return false;
+    const auto all = members(group);
+    return std::any_of(all.begin(), all.end(), [this](size_t i) { return touches(i); });
 }
 
 // Whether forces on arms of the group may change before the next sync point; notes on which: those that touch
 // something, and either of the two is awake. No other contact has a say in it.
 bool Twin::State::pushes(size_t group) {
     const auto moves = [this](const Contact &c) { return c.other < count && !positioners[c.other].asleep(); };
-    const Rows rows = rows_of(group);
     bool any = false;
-    for (size_t i = rows.begin; i < rows.end; ++i) {
+    for (const size_t i : members(group)) {
         const Positioner &p = positioners[i];
         const auto &contacts = p.touch().contacts;
         pushed[i] = touches(i) && (!p.asleep() || std::any_of(contacts.begin(), contacts.end(), moves));
@@ -57,8 +53,7 @@ bool Twin::State::pushes(size_t group) {
 
 // Before a look: where the arms of a group are that somebody asks for, and how all of them have moved.
 void Twin::State::show_group(size_t group) {
-    const Rows rows = rows_of(group);
-    for (size_t i = rows.begin; i < rows.end; ++i)
+    for (const size_t i : members(group))
         if (neighbours.shown(i, now + ahead)) publish(i);
     if (std::exchange(groups[group].moved, false)) travel(group);
 }
@@ -66,38 +61,36 @@ void Twin::State::show_group(size_t group) {
 // The gears since the last look. An arm that is pushed bends, too: it may be anywhere that it could have
 // come.
 void Twin::State::travel(size_t group) {
-    const Rows rows = rows_of(group);
-    const double *gear_rad = plant.group(group).gear_rad;
-    double *before_rad = &gears_rad[group * lane_count];
-    for (size_t i = rows.begin, lane = 0; i < rows.end; ++i, ++lane) {
-        const double alpha_rad = std::abs(gear_rad[lane] - before_rad[lane]);
-        const double beta_rad =
-            std::abs(gear_rad[lane + lane_group_size] - before_rad[lane + lane_group_size]);
+    const auto way_rad = [this](size_t axis) {
+        const double before_rad = std::exchange(gears_rad[axis], plant.gear_rad(axis));
+        return std::abs(gears_rad[axis] - before_rad);
+    };
+    for (const size_t i : members(group)) {
+        const double alpha_rad = way_rad(2 * i), beta_rad = way_rad(2 * i + 1);
         next_travels[i].way_mm +=
             felt[i] != 0 ? neighbours.farthest_mm(i) : neighbours.travel_mm(i, alpha_rad, beta_rad);
         next_travels[i].speed_mm = speed_mm(i);
     }
-    std::copy_n(gear_rad, lane_count, before_rad);
 }
 
 // Of an arm, a tick, as fast as its motors turn now; see Travel.
 double Twin::State::speed_mm(size_t i) const {
     if (felt[i] != 0) return Travel::pushed;
-    return neighbours.travel_mm(i, plant.motor_turn_rad(Plant::place(2 * i)),
-                                plant.motor_turn_rad(Plant::place(2 * i + 1)));
+    return neighbours.travel_mm(i, plant.motor_turn_rad(plant.place(2 * i)),
+                                plant.motor_turn_rad(plant.place(2 * i + 1)));
 }
 
 void Twin::State::show_poses() {
     travels = next_travels;
     for (size_t group = 0; group < groups.size(); ++group)
         for (uint32_t left = std::exchange(groups[group].posed, 0); left != 0; left &= left - 1) {
-            const size_t i = group * lane_group_size + static_cast<size_t>(std::countr_zero(left));
+            const size_t i = members(group)[static_cast<size_t>(std::countr_zero(left))];
             seen[i] = next[i];
         }
 }
 
 void Twin::State::publish(size_t i) {
-    groups[i / lane_group_size].posed |= 1U << i % lane_group_size;
+    groups[place(i).group].posed |= 1U << place(i).lane;
     const Angles rigid = at_rest(i);
     next[i] = neighbours.pose(
         i, {rigid.alpha_rad + plant.deflection_rad(2 * i), rigid.beta_rad + plant.deflection_rad(2 * i + 1)},
@@ -114,7 +107,7 @@ void Twin::State::feel_neighbours(size_t i, PositionerGroup &group) {
     Positioner &p = positioners[i];
     if (!contacts.empty() || p.touching) p.touch_now().contacts = std::move(contacts);
     note_touches(i, group.outbox);
-    if (felt[i] == 0) group.disturbed |= 1U << i % lane_group_size;
+    if (felt[i] == 0) group.disturbed |= 1U << place(i).lane;
     if (push != p.touch().push) apply_torque(i, push);
     const Touching &touch = p.touch();
     felt[i] = !touch.contacts.empty() || !touch.touched.empty() || touch.push != Push{};
@@ -204,9 +197,10 @@ Angles Twin::State::at_rest(size_t i) const {
     return {plant.output_at_rest_rad(2 * i), plant.output_at_rest_rad(2 * i + 1)};
 }
 
-// What pulls at the arms of a group turns with them.
-void Twin::State::follow_loads(Rows rows) {
-    for (size_t i = rows.begin; i < rows.end; ++i) {
+// What pulls at the arms of a group turns with them. One that sleeps has not turned since.
+void Twin::State::follow_loads(size_t group) {
+    for (uint32_t left = groups[group].awake; left != 0; left &= left - 1) {
+        const size_t i = members(group)[static_cast<size_t>(std::countr_zero(left))];
         const Positioner &p = positioners[i];
         if (p.loads && p.loads->turn(at_rest(i))) put_torque(i);
     }

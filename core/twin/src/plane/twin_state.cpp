@@ -60,13 +60,12 @@ Twin::State::State(const TwinSetup &s)
       positioners(std::make_unique<Positioner[]>(count)), lane_groups(plant.group_count()),
       groups(plant.group_count()), index_of_id(id_count(s), no_index),
       neighbours(s.arms, s.obstacles, s.body, gives_of(plant), s.bound_scale), feel(s.neighbours),
-      skip_resting(s.skip_resting), felt(s.ids.size()), pushed(s.ids.size()), scoped(plant.group_count()),
-      seen(s.ids.size()), next(s.ids.size()), travels(s.ids.size()), next_travels(s.ids.size()),
-      gears_rad(plant.group_count() * lane_count),
+      skip_resting(s.skip_resting), sort_lanes(s.sort_lanes), felt(s.ids.size()), pushed(s.ids.size()),
+      scoped(plant.group_count()), seen(s.ids.size()), next(s.ids.size()), travels(s.ids.size()),
+      next_travels(s.ids.size()), gears_rad(plant.axis_count()),
       workers(s.threads, [this](size_t at) { take_turn(turns[at]); }) {
     boot(s);
-    for (size_t g = 0; g < plant.group_count(); ++g)
-        std::copy_n(plant.group(g).gear_rad, lane_count, &gears_rad[g * lane_count]);
+    for (size_t axis = 0; axis < plant.axis_count(); ++axis) gears_rad[axis] = plant.gear_rad(axis);
     for (size_t i = 0; i < count; ++i) publish(i);
     seen = next;
     for (size_t i = 0; i < count; ++i) neighbours.allow_loose(i, loose(i));
@@ -84,13 +83,11 @@ void Twin::State::boot(const TwinSetup &s) {
             throw std::invalid_argument("positioner id " + std::to_string(s.ids[i]) + " occurs twice");
         index = static_cast<uint16_t>(i);
         Positioner &p = positioners[i];
-        p.attach(groups[i / lane_group_size], i);
+        p.attach(groups[place(i).group], i, static_cast<size_t>(place(i).lane));
         p.boot(s.ids[i], first_params, &s.params[2 * i]);
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
-        const size_t first = g * lane_group_size;
-        lane_groups[g].attach(plant, g, &positioners[first], std::min<size_t>(lane_group_size, count - first),
-                              s.side_by_side);
+        lane_groups[g].attach(plant, g, positioners.get(), groups[g], s.side_by_side);
         plant.sense(g, 0); // the first hall reading is real
     }
     for (size_t i = 0; i < s.ids.size(); ++i) {
@@ -113,7 +110,6 @@ void Twin::State::take_turn(size_t group) {
 
 // Writes `next`, for those whom somebody looks at next.
 void Twin::State::run_group(size_t group, uint64_t ticks) {
-    const Rows rows = rows_of(group);
     LaneGroup &lane_group = lane_groups[group];
     if (!lane_group.gather()) return;
     LawScratch scratch{};
@@ -123,12 +119,14 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
         lane_group.tick(tick, scratch);
         plant.step(group, used);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
-            positioners[rows.begin + static_cast<size_t>(std::countr_zero(left))].record(plant, tick);
-        if (loaded && (tick + 1) % load_ticks == 0) follow_loads(rows);
+            positioners[members(group)[static_cast<size_t>(std::countr_zero(left))]].record(plant, tick);
+        if (loaded && (tick + 1) % load_ticks == 0) follow_loads(group);
     }
     groups[group].moved = true;
+    groups[group].stepped += ticks;
     lane_group.rest(now + ticks, skip_resting);
-    for (size_t i = rows.begin; tick_by_tick && i < rows.end; ++i)
+    if (!tick_by_tick) return;
+    for (const size_t i : members(group))
         if (neighbours.shown(i, now + ticks)) publish(i);
 }
 
@@ -167,7 +165,7 @@ void Twin::State::look_around(uint64_t most_ticks) {
     run_all(Turn::looks);
     for (size_t group = 0; group < groups.size(); ++group)
         for (uint32_t left = std::exchange(groups[group].disturbed, 0); left != 0; left &= left - 1)
-            neighbours.disturb(rows_of(group).begin + static_cast<size_t>(std::countr_zero(left)),
+            neighbours.disturb(members(group)[static_cast<size_t>(std::countr_zero(left))],
                                now - now % sync_ticks + sync_ticks);
 }
 
@@ -190,8 +188,12 @@ void Twin::State::run_slice(uint64_t most_ticks) {
     ++slices;
     turns.clear();
     closely.clear();
-    for (size_t group = 0; group < groups.size(); ++group)
-        (in_contact(group) && pushes(group) ? closely : turns).push_back(group);
+    for (size_t group = 0; group < groups.size(); ++group) {
+        if (in_contact(group) && pushes(group))
+            closely.push_back(group);
+        else if (groups[group].awake != 0)
+            turns.push_back(group);
+    }
     turn = Turn::runs;
     workers.run(turns.size());
     if (closely.empty())
@@ -207,10 +209,8 @@ void Twin::State::run_closely(uint64_t ticks) {
     for (uint64_t k = 0; k < ticks; ++k, turn = Turn::follows) {
         workers.run(turns.size());
         ++now;
-        for (const size_t group : turns) {
-            const Rows rows = rows_of(group);
-            std::copy(&next[rows.begin], &next[0] + rows.end, &seen[rows.begin]);
-        }
+        for (const size_t group : turns)
+            for (const size_t i : members(group)) seen[i] = next[i];
     }
     tick_by_tick = false;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -60,13 +61,11 @@ struct Twin::State {
     // Which arms might touch is looked at every 2 ms; the forces of those that do follow every tick.
     bool at_sync() const { return now % sync_ticks == 0; }
     uint64_t slice_ticks() const;
-    struct Rows {
-        size_t begin, end;
-    };
-    Rows rows_of(size_t group) const {
-        return {group * lane_group_size, std::min((group + 1) * lane_group_size, count)};
-    }
-    void follow_loads(Rows rows);
+    std::span<const uint16_t> members(size_t group) const { return plant.members(group); }
+    void follow_loads(size_t group);
+    void rearrange();
+    void gather_outboxes();
+    std::vector<uint16_t> by_end_of_way() const;
     std::vector<Reply> collect();
     void check(size_t i) const {
         if (i >= count) throw std::out_of_range("positioner " + std::to_string(i) + ": no such index");
@@ -77,18 +76,21 @@ struct Twin::State {
         release(i);
         return positioners[i];
     }
-    void release(size_t i) { lane_groups[i / lane_group_size].release(i % lane_group_size, now); }
+    // Lane and group of its alpha.
+    Plant::Place place(size_t i) const { return plant.place(2 * i); }
+    void release(size_t i) { lane_groups[place(i).group].release(static_cast<size_t>(place(i).lane), now); }
 
     Plant plant;
     size_t count;
     const FactoryParams::Both first_params;    // of the first positioner: others tell what differs
     std::unique_ptr<Positioner[]> positioners; // never moved: their ports point back at them
     std::vector<LaneGroup> lane_groups;        // one per group of the plant
-    std::vector<PositionerGroup> groups;       // and what its positioners have in common
+    std::vector<PositionerGroup> groups;       // and what its positioners have in common; never moved
     std::vector<uint16_t> index_of_id;         // up to the largest; or no_index
     Neighbours neighbours;
     bool feel;
     bool skip_resting;
+    bool sort_lanes;
     bool loaded = false; // something pulls at the arms: it follows them at sync points
     uint64_t now = 0;
     Turn turn = Turn::runs;
@@ -106,7 +108,7 @@ struct Twin::State {
     std::vector<Pose> seen, next;
     // how each has travelled by then, and where its gears were
     std::vector<Travel> travels, next_travels;
-    std::vector<double> gears_rad;
+    std::vector<double> gears_rad; // by axis
     Gravity gravity;
     Workers workers;
 };

@@ -41,10 +41,17 @@ class Workers {
         more_ = true;
         left_ = count; // before any of them may be taken
         for (size_t i = 0; i < share_count_; ++i)
-            shares_[i].tickets = Tickets{(i + 1) * count / share_count_} << 32 | i * count / share_count_;
+            shares_[i].tickets =
+                Tickets{first_of(i + 1, share_count_, count)} << 32 | first_of(i, share_count_, count);
         call();
         take_tasks(0);
         for (size_t left = await(left_, 0); left != 0; left = left_) left_.wait(left);
+    }
+
+    size_t thread_count() const { return share_count_; }
+    // The first of `count` tasks that thread `thread` of `threads` has a share of.
+    static constexpr size_t first_of(size_t thread, size_t threads, size_t count) {
+        return thread * count / threads;
     }
 
     // No batch follows soon: helpers need not look out for one.

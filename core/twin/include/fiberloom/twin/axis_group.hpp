@@ -9,6 +9,7 @@
 // Everything that is a torque in the model is an impulse here: torque times the step h, in Nm s.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace fl::twin {
@@ -32,7 +33,6 @@ struct alignas(64) AxisGroup {
     // state
     Exact theta_rad; // motor
     Exact gear_rad;  // motor angle at which negative contact is closed
-    Lanes p_Nms;     // momentum of what moves with the rotor
 
     // transmission, linear inside the cell: positive contact at gear = (theta - backlash_0) backlash_scale
     Exact backlash_0_rad, backlash_scale;
@@ -40,6 +40,10 @@ struct alignas(64) AxisGroup {
     // load of the gear, positive to positive angles: load_0 + load_1 gear, and stops beyond gear angles
     Exact load_0_Nms, load_1_Nms;
     Exact stop_lo_rad, stop_hi_rad, stop_Nms;
+
+    // state: momentum of what moves with the rotor. All before is in double, from here on arrays of 4 bytes a
+    // lane follow: copy_lane().
+    Lanes p_Nms;
 
     Lanes sine, cosine; // of theta, at the start of a tick
 
@@ -71,6 +75,9 @@ struct alignas(64) AxisGroup {
     // about to leave its cell a tick ago; of which the next node on its way lies in another NodeBlock.
     uint64_t near_stop, leaving, block_ends;
 };
+
+// Lane `from_lane` of a group becomes lane `to_lane` of another, with all that is told of it.
+void copy_lane(const AxisGroup &from, size_t from_lane, AxisGroup &to, size_t to_lane);
 
 // What happened in a tick, one bit per lane.
 struct TickEvents {

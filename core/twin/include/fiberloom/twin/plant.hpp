@@ -2,10 +2,12 @@
 // counts and output angles out. docs/twin.md derives the model.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "fiberloom/twin/axis_group.hpp"
@@ -74,11 +76,21 @@ class Plant {
         int lane;
     };
     // Where an axis is kept: axis 2 i is alpha of positioner i, 2 i + 1 its beta.
-    static Place place(size_t axis) {
-        const size_t positioner = axis / 2;
-        return {positioner / lane_group_size,
-                static_cast<int>(axis % 2 * lane_group_size + positioner % lane_group_size)};
+    Place place(size_t axis) const {
+        const size_t slot = slots_[axis / 2];
+        return {slot / lane_group_size,
+                static_cast<int>(axis % 2 * lane_group_size + slot % lane_group_size)};
     }
+    // The positioners of all lanes, group by group. They stay at the same address.
+    const std::vector<uint16_t> &members() const { return members_; }
+    // Those of a group, lane by lane.
+    std::span<const uint16_t> members(size_t group) const {
+        const size_t begin = group * lane_group_size;
+        return {members_.data() + begin, std::min<size_t>(lane_group_size, members_.size() - begin)};
+    }
+    // Others are stepped together from now on: no value of an axis changes by it. members: every positioner
+    // once.
+    void rearrange(const std::vector<uint16_t> &members);
     // The inner loops.
     const Kernel &kernel() const { return *kernel_; }
     // The lanes of a group.
@@ -96,6 +108,8 @@ class Plant {
     }
     // Motor angle, rad.
     double motor_rad(size_t axis) const { return lane(axis, &AxisGroup::theta_rad); }
+    // Where the gear closes negative contact, motor rad.
+    double gear_rad(size_t axis) const { return lane(axis, &AxisGroup::gear_rad); }
     // Motor angle at which the arm touches its lower hard stop.
     double lower_stop_rad(size_t axis) const { return lane(axis, &AxisGroup::stop_lo_rad); }
 
@@ -189,6 +203,10 @@ class Plant {
         (group_of(axis).*f)[place(axis).lane] = static_cast<T>(value);
     }
 
+    size_t axis_at(size_t group, size_t lane) const {
+        return 2 * size_t{members_[group * lane_group_size + lane % lane_group_size]} +
+               lane / lane_group_size;
+    }
     void put(size_t axis, double output_rad);
     void keep_params(size_t axis, PlantParams params);
     void configure(size_t axis);
@@ -219,7 +237,8 @@ class Plant {
     std::array<PlantParams, 2> first_params_; // of the first alpha and beta
     std::vector<Axis> axes_;
     std::vector<AxisGroup> groups_;
-    std::vector<uint64_t> slipping_; // lanes of each group whose couplings slip
+    std::vector<uint16_t> members_, slots_; // positioners, lane by lane; and where each of them is there
+    std::vector<uint64_t> slipping_;        // lanes of each group whose couplings slip
 };
 
 } // namespace fl::twin

@@ -34,6 +34,7 @@ struct TwinSetup {
     bool neighbours = true;
     bool skip_resting = true;
     bool side_by_side = true; // the firmware's laws, as vector code where axes track
+    bool sort_lanes = true;   // at START those whose ways end about together share lanes; the same bytes
     uint64_t seed = 0;
     int threads = 1;
     Substeps substeps;
@@ -113,6 +114,8 @@ class Twin {
     // Ticks left out of the firmware so far, and ticks run, over all positioners.
     uint64_t ticks_skipped() const;
     uint64_t ticks_run() const;
+    // Ticks of groups of lanes in which one of theirs was awake, so far.
+    uint64_t group_ticks() const;
     // Slices of time in which groups of positioners did not wait for each other, so far.
     uint64_t slices() const;
     // By positioner: the farthest that a point of its arms can come within so many ticks from now, whatever
