@@ -48,6 +48,7 @@ def told(column):
 
 @given(tables())
 @example(({"c0": ["", " x"]}, {}))
+@example(({"c0": [1]}, {"note": "a\n\nb", "by": {"\n": None}}))
 def test_the_bytes_and_the_values_of_astropy(table):
     columns, head = table
     text = by_astropy(columns, head)
@@ -58,7 +59,7 @@ def test_the_bytes_and_the_values_of_astropy(table):
         return
     theirs = Table.read(io.BytesIO(text.encode()), format="ascii.ecsv")
     assert list(read[0]) == theirs.colnames
-    assert read[1] == dict(theirs.meta)
+    assert read[1] == head  # astropy's reader loses empty lines of text there
     for name, column in read[0].items():
         np.testing.assert_array_equal(told(column), told(theirs[name]))
         assert column.dtype.kind == theirs[name].dtype.kind

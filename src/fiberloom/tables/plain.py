@@ -1,7 +1,8 @@
 """ECSV of plain columns as text: a YAML header, then rows of cells.
 
 Numbers, text and arrays of numbers, which is all that calibrations and results hold: the same bytes and the
-same values as by astropy, without its import.
+same values as by astropy, without its import; but for empty lines of text in the header, which its reader
+loses.
 """
 
 from __future__ import annotations
