@@ -113,9 +113,33 @@ def test_speed_acceleration_and_the_number_of_points_are_kept():
 def test_every_move_ends_with_the_approach_after_everything_else():
     _, _, goal_deg, made = solved(100, 2)
     for robot, goal in zip(made.robots, goal_deg, strict=True):
-        k = np.searchsorted(robot.time_s, made.duration_s - 0.25 - 1e-9)
+        k = np.searchsorted(robot.time_s, robot.time_s[-1] - 0.25 - 1e-9)
         np.testing.assert_allclose(robot.points_deg[k], goal + APPROACH_DEG, atol=1e-8)
         assert (np.diff(robot.points_deg[k:], axis=0) < 0).all()
+
+
+def above_since_s(robot: Trajectory) -> float:
+    """When both axes have come to rest above the goal."""
+    moved = (np.abs(np.diff(robot.points_deg[:-1], axis=0)) > 1e-9).any(axis=1)
+    return float(robot.time_s[1:-1][moved][-1])
+
+
+def test_a_motor_rests_as_soon_as_its_arm_is_there():
+    """It does not wait above its goal for the last ones."""
+    _, _, _, made = solved(100, 2)
+    above_s = np.array([above_since_s(robot) for robot in made.robots])
+    waits_s = np.array([robot.time_s[-1] for robot in made.robots]) - 0.25 - above_s
+    assert made.duration_s - np.median(above_s) > 5.0  # so there is something to gain
+    assert np.mean(waits_s < 1.0) > 0.9
+    assert waits_s.min() >= 0.0
+
+
+def test_where_one_may_be_late_all_come_down_together():
+    plane, start_deg, goal_deg, _ = solved(100, 2)
+    made = plan(plane, start_deg, goal_deg, settings=PlanSettings(late_s=0.5))
+    own = made.approaches.keys() | made.refused.keys()
+    ends = {robot.time_s[-1] for robot in made.robots if robot.positioner_id not in own}
+    assert len(ends) == 1
 
 
 def on_the_bus(robot: Trajectory) -> Trajectory:

@@ -2,6 +2,7 @@
 #include "goals/goal_feasibility.hpp"
 #include "motion/motion.hpp"
 #include "points/by_quarters.hpp"
+#include "points/early_descents.hpp"
 #include "points/fewer_points.hpp"
 #include "search/repair.hpp"
 
@@ -82,6 +83,8 @@ class Planner {
     void give_up_locked(const PathSet &paths, const List<Repair::Pair> &pairs);
     bool lock_each_other(PositionerIndex i, PositionerIndex j);
     void keep(PathSet &paths);
+    List<int, PathIndex> begins_of_descents(PathSet &paths, const List<OwnKnots, PathIndex> &own,
+                                            int end) const;
     int last_step(const PathSet &paths) const;
     PlanResult none_moves();
 
@@ -331,6 +334,18 @@ int Planner::last_step(const PathSet &paths) const {
     return last;
 }
 
+// Where any may be late all come down together: those on their way are then seen as far as they are.
+List<int, PathIndex> Planner::begins_of_descents(PathSet &paths, const List<OwnKnots, PathIndex> &own,
+                                                 int end) const {
+    if (paths.heeds_lateness() || settings_.enough()) return List<int, PathIndex>(paths.size(), end);
+    List<WayDown, PathIndex> ways;
+    for (const PathIndex m : paths.places()) {
+        const PositionerIndex i = positioner_of_[m];
+        ways.push_back({goals_.descent(i), goals_.legs(i)});
+    }
+    return early_descents(paths, own, ways, {end, clock_.turn_quarters}, goals_.need_mm());
+}
+
 void Planner::keep(PathSet &paths) {
     const int last = end_of_path(last_step(paths));
     auto [earlier, own] = earlier_by_quarters(paths, settings_.enough);
@@ -339,6 +354,7 @@ void Planner::keep(PathSet &paths) {
     statistics_.quarters_earlier = earlier;
     statistics_.steps = static_cast<double>(end - end_of_path(0)) / quarters;
     statistics_.step_s = clock_.step_s();
+    const List<int, PathIndex> begins = begins_of_descents(paths, own, end);
     List<Motion, PositionerIndex> motions;
     for (const Angles &start : task_.start) motions.push_back({{0.0}, {start}});
     for (const PathIndex m : paths.places()) {
@@ -347,8 +363,8 @@ void Planner::keep(PathSet &paths) {
         const Descent &descent = goals_.descent(i);
         motions[i] = own[m].empty() ? motion_of(paths.at(m).robot, paths.at(m).path, clock_)
                                     : motion_along(own[m], clock_.quarter_s);
-        add_descent(motions[i], descent, clock_, end);
-        if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, end));
+        add_descent(motions[i], descent, clock_, begins[m]);
+        if (goals_.descends_otherwise(i)) approaches_.push_back(approach_of(i, descent, clock_, begins[m]));
     }
     motions_.assign(motions.begin(), motions.end());
 }

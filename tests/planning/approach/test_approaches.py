@@ -89,7 +89,7 @@ def test_one_after_the_other_and_one_axis_after_the_other():
 
 
 def test_who_needs_no_turn_of_its_own_does_not_wait():
-    """All end with the first turn but those that come later."""
+    """All have ended with the first turn but those that come later."""
     plane = bare(19)
     _, goal_deg = random_pair(plane, 3)
     for pair in facing(1):
@@ -105,7 +105,7 @@ def test_who_needs_no_turn_of_its_own_does_not_wait():
     made = checked(plane, goal_deg, WHOLE)
     ends = [robot.time_s[-1] for robot in made.robots if robot.positioner_id not in made.approaches]
     assert made.approaches
-    assert max(ends) == pytest.approx(made.duration_s - TURN_S)
+    assert max(ends) <= made.duration_s - TURN_S + 1e-5
 
 
 def test_every_axis_closes_the_backlash_whatever_the_approach():

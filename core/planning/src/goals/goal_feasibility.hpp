@@ -50,6 +50,7 @@ class GoalFeasibility {
     bool still(PositionerIndex i) const { return goals_[i].still; }
     // How a positioner comes to its goal, and whether not as all others do.
     const Descent &descent(PositionerIndex i) const { return goals_[i].descent; }
+    const Legs &legs(PositionerIndex i) const { return goals_[i].legs; }
     bool descends_otherwise(PositionerIndex i) const { return !(descent(i) == usual(i)); }
     int steps_alone(PositionerIndex i) const { return goals_[i].steps_alone; }
     double need_mm() const { return need_mm_; }
