@@ -75,7 +75,7 @@ void Rig::mix(const void *word) {
 void Rig::digest_tick() {
     const twin::AxisGroup &g = plant_.group(0);
     for (size_t axis = 0; axis < FL_AXES; ++axis) {
-        const int lane = twin::Plant::place(axis).lane;
+        const int lane = plant_.place(axis).lane;
         for (const auto &hall_cnt : g.hall_cnt) mix(&hall_cnt[lane]);
         for (const auto &duty : g.duty) mix(&duty[lane]);
     }
@@ -84,16 +84,17 @@ void Rig::digest_tick() {
 // -- the port -----------------------------------------------------------------------------------------
 
 void Rig::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
-    const twin::AxisGroup &g = static_cast<Rig *>(ctx)->plant_.group(0);
-    const int lane = twin::Plant::place(static_cast<size_t>(axis)).lane;
+    twin::Plant &plant = static_cast<Rig *>(ctx)->plant_;
+    const twin::AxisGroup &g = plant.group(0);
+    const int lane = plant.place(static_cast<size_t>(axis)).lane;
     for (int k = 0; k < 2; ++k) adc_cnt[k] = static_cast<uint16_t>(g.hall_cnt[k][lane]);
 }
 
 void Rig::set_phases(void *ctx, int axis, const float duty[3]) {
-    twin::AxisGroup &g = static_cast<Rig *>(ctx)->plant_.group(0);
-    const int lane = twin::Plant::place(static_cast<size_t>(axis)).lane;
-    for (int k = 0; k < 3; ++k) g.duty[k][lane] = duty[k];
-    static_cast<Rig *>(ctx)->plant_.set_open(static_cast<size_t>(axis), false);
+    twin::Plant &plant = static_cast<Rig *>(ctx)->plant_;
+    const int lane = plant.place(static_cast<size_t>(axis)).lane;
+    for (int k = 0; k < 3; ++k) plant.group(0).duty[k][lane] = duty[k];
+    plant.set_open(static_cast<size_t>(axis), false);
 }
 
 void Rig::open_phases(void *ctx, int axis) {

@@ -150,5 +150,8 @@ print(before - resident())
 @pytest.mark.parametrize(("asked", "given_back"), [((), False), (("few",), True)])
 def test_large_blocks_are_given_back_when_they_are_free(asked, given_back):
     command = [sys.executable, "-c", LARGE_BLOCK_FREED, *asked]
-    freed = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    assert (freed > 0.9 * 8 * 2**20) == given_back
+    freed = [
+        int(subprocess.run(command, check=True, capture_output=True, text=True).stdout) for _ in range(3)
+    ]
+    # all of them when asked; else none, but where the heap cannot grow, for want of addresses behind it
+    assert (min(freed) > 0.9 * 8 * 2**20) == given_back

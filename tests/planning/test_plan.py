@@ -110,7 +110,7 @@ def test_speed_acceleration_and_the_number_of_points_are_kept():
     assert found.top_jump_deg_s < 11.7 / 2 + 0.82 / 0.25
 
 
-def test_every_move_ends_with_the_approach_after_everything_else():
+def test_every_move_ends_with_the_approach():
     _, _, goal_deg, made = solved(100, 2)
     for robot, goal in zip(made.robots, goal_deg, strict=True):
         k = np.searchsorted(robot.time_s, robot.time_s[-1] - 0.25 - 1e-9)

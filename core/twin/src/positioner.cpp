@@ -62,7 +62,6 @@ void Positioner::power_up(const int turns[FL_AXES]) {
 void Positioner::receive(const fl_can_frame_t &frame, uint64_t tick) {
     if (faults().deaf) return;
     wake(tick);
-    group_->now = tick;
     if (!spoils_start(frame)) fl_positioner_receive(&firmware_, &frame);
 }
 
@@ -104,6 +103,7 @@ void Positioner::rest(const Plant &plant, uint64_t tick, bool may_sleep) {
 }
 
 void Positioner::wake(uint64_t tick) {
+    group_->now = tick;
     if (!asleep()) return;
     group_->awake |= 1U << lane_;
     const uint64_t ticks = tick - asleep_since_;
@@ -170,8 +170,19 @@ void Positioner::hall(int axis, uint16_t adc_cnt[2]) {
     adc_cnt[1] = last[1];
 }
 
+// Between ticks the channels show what they will in the next one: of an axis that rests they may be of any
+// tick before, whichever others share its lanes.
+void Positioner::look() {
+    if (group_->sensed == group_->now) return;
+    const uint64_t lanes = uint64_t{1} << lane(FL_ALPHA) | uint64_t{1} << lane(FL_BETA);
+    group_->plant->sense(group_->plant->place(number(FL_ALPHA)).group, static_cast<uint32_t>(group_->now),
+                         lanes);
+}
+
 void Positioner::read_hall(void *ctx, int axis, uint16_t adc_cnt[2]) {
-    static_cast<Positioner *>(ctx)->hall(axis, adc_cnt);
+    auto &p = *static_cast<Positioner *>(ctx);
+    p.look();
+    p.hall(axis, adc_cnt);
 }
 
 void Positioner::set_phases(void *ctx, int axis, const float duty[3]) {

@@ -51,6 +51,7 @@ struct alignas(64) PositionerGroup {
     uint32_t disturbed = 0;              // and that has just begun to be pushed
     bool moved = false;                  // it has run since then
     uint64_t now = 0;                    // tick of the last call into a firmware of them
+    uint64_t sensed = UINT64_MAX;        // of which the hall channels of those that run show the angle
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
     uint64_t stepped = 0;                // ticks of the group
     Outbox outbox;
@@ -148,6 +149,7 @@ class Positioner {
   private:
     // True when the fault of this frame's START has taken the firmware's place.
     bool spoils_start(const fl_can_frame_t &frame);
+    void look();
     static void read_hall(void *ctx, int axis, uint16_t adc_cnt[2]);
     static void set_phases(void *ctx, int axis, const float duty[3]);
     static void open_phases(void *ctx, int axis);

@@ -23,7 +23,7 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
             if (i + 1 < s_->count) s_->positioners[i + 1].fetch();
             s_->hear(i, frame, bus);
         }
-        if (s_->sort_lanes && (frame.id >> 10 & 0xff) == start_command) s_->rearrange();
+        if ((frame.id >> 10 & 0xff) == start_command) s_->started = true;
     } else if (id < s_->index_of_id.size() && s_->index_of_id[id] != no_index) {
         s_->hear(s_->index_of_id[id], frame, bus);
     }

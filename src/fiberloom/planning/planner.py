@@ -139,7 +139,7 @@ class PlanSettings:
     """To this an approach may be shortened that would touch something, on one axis or both."""
     approach_turns: int = 4
     """In so many turns positioners may come down to their goals where together they would touch; each one
-    that is used lengthens the plan by an approach. 1: all together."""
+    that is used lengthens the plan by an approach. 1: in one, or earlier."""
     most_points: int = 40
     """An axis that would get more points over the bus leaves out some, as far as all stay clear."""
     budget_s: float | None = None

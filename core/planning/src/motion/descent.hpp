@@ -1,6 +1,7 @@
 // How a positioner comes to its goal: from above, each axis in one of the turns with which a plan ends.
 //
-// All turns last equally long. As a rule every positioner comes down in the first one, both axes at once.
+// All turns last equally long. As a rule every positioner comes down in the first one, or earlier
+// (points/early_descents.hpp), both axes at once.
 // Where that would touch, an axis may begin less high, or come down in a later turn. Until then it waits
 // above the goal, or at the goal: then it goes up in the turn before, when others are where they shall be.
 #pragma once

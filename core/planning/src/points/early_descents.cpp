@@ -42,13 +42,23 @@ class EarlyDescents {
         });
     }
 
+    // Of the arm in a quarter of a step: a turn may be quicker than the moves of a path. A leg tells that of
+    // a quarter of itself, and it grows with the square of the angle.
+    double bulge_mm(PathIndex i) const {
+        const double part = static_cast<double>(quarters) / end_.turn;
+        return ways_[i].legs.at(0).bulge_mm * part * part;
+    }
+
     SweptArm swept_at(PathIndex i, const Knots &alpha, const Knots &beta, int step) const {
         const Member &member = paths_.at(i);
         const int begin = quarters * step - 1; // what is sent in a step
         if (begin >= alpha.back().quarter) return ways_[i].legs.rest();
         Angles at[quarters + 1];
         for (int k = 0; k <= quarters; ++k) at[k] = {angle_at(alpha, begin + k), angle_at(beta, begin + k)};
-        return member.robot.swept(member.path.back(), at);
+        SweptArm swept = member.robot.swept(member.path.back(), at);
+        swept.bulge_mm = std::max(swept.bulge_mm, bulge_mm(i));
+        measure_displacement_bound(swept);
+        return swept;
     }
 
     PathSet &paths_;

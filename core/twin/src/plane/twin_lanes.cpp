@@ -9,8 +9,8 @@
 namespace fl::twin {
 namespace {
 
-// Ticks of the longer of the two paths, from START on. It says when the firmware will rest where it follows
-// them; anything else costs time alone.
+// Of the longer of its two paths, from START to end. Those that are on their way already, or on a go-to, rest
+// at another time: that costs time alone.
 uint32_t ticks_of_way(const fl_positioner_t &firmware) {
     int32_t ticks = 0;
     for (size_t axis = 0; axis < FL_AXES; ++axis)
@@ -20,7 +20,7 @@ uint32_t ticks_of_way(const fl_positioner_t &firmware) {
 
 } // namespace
 
-// Those that rest first, then those that will rest first: of the groups of each thread, so that what lies
+// Those that rest first, then those with the shortest paths: of the groups of each thread, so that what lies
 // side by side in memory is written by the same one. Those of a vector in their order.
 std::vector<uint16_t> Twin::State::by_end_of_way() const {
     std::vector<uint32_t> ticks;
@@ -35,11 +35,12 @@ std::vector<uint16_t> Twin::State::by_end_of_way() const {
         const size_t last = Workers::first_of(thread + 1, threads, groups.size()) * lane_group_size;
         std::stable_sort(from(first), from(last), [&](size_t i, size_t j) { return ticks[i] < ticks[j]; });
     }
-    for (size_t slot = 0; slot < count; slot += chunk_size) std::sort(from(slot), from(slot + chunk_size));
+    constexpr size_t together = std::min(chunk_size, lane_group_size);
+    for (size_t slot = 0; slot < count; slot += together) std::sort(from(slot), from(slot + together));
     return order;
 }
 
-// Between two calls of run(), in which masks of a group have a bit for each of its lanes.
+// Between two ticks. Masks of a group have a bit for each of its lanes.
 void Twin::State::rearrange() {
     const std::vector<uint16_t> order = by_end_of_way(), before = plant.members();
     if (order == before) return;
@@ -52,22 +53,21 @@ void Twin::State::rearrange() {
         for (size_t k = 0; k < std::size(masks); ++k)
             noted[before[slot]] |= (groups[slot / lane_group_size].*masks[k] >> slot % lane_group_size & 1U)
                                    << k;
+    gather_outboxes();
+    plant.rearrange(order);
+
     for (PositionerGroup &group : groups) {
         for (const Mask mask : masks) group.*mask = 0;
+        group.moved = true; // one that was may be among them
     }
-
-    plant.rearrange(order);
     std::fill(scoped.begin(), scoped.end(), 0);
     for (size_t slot = 0; slot < count; ++slot) {
         PositionerGroup &group = groups[slot / lane_group_size];
-        const size_t lane = slot % lane_group_size;
-        positioners[order[slot]].move(group, lane);
-        for (size_t k = 0; k < std::size(masks); ++k)
-            group.*masks[k] |= (noted[order[slot]] >> k & 1U) << lane;
-        scoped[slot / lane_group_size] |= static_cast<uint32_t>(positioners[order[slot]].scoped()) << lane;
-        group.moved = true; // one that was may be among them
+        const size_t i = order[slot], lane = slot % lane_group_size;
+        positioners[i].move(group, lane);
+        for (size_t k = 0; k < std::size(masks); ++k) group.*masks[k] |= (noted[i] >> k & 1U) << lane;
+        scoped[slot / lane_group_size] |= static_cast<uint32_t>(positioners[i].scoped()) << lane;
     }
-    gather_outboxes();
 }
 
 // What positioners have sent comes before what they send in their new groups.

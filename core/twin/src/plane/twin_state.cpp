@@ -116,6 +116,7 @@ void Twin::State::run_group(size_t group, uint64_t ticks) {
     for (uint64_t tick = now; tick < now + ticks; ++tick) {
         const uint64_t used = scoped[group] != 0 ? every_lane : lane_group.used();
         plant.sense(group, static_cast<uint32_t>(tick), used);
+        groups[group].sensed = tick;
         lane_group.tick(tick, scratch);
         plant.step(group, used);
         for (uint32_t left = scoped[group]; left != 0; left &= left - 1)
@@ -170,6 +171,7 @@ void Twin::State::look_around(uint64_t most_ticks) {
 }
 
 void Twin::State::pass(uint64_t ticks) {
+    if (std::exchange(started, false) && sort_lanes) rearrange();
     const uint64_t end = now + ticks;
     while (now < end) {
         const bool resting = !any_awake(), in_sync = !feel || at_sync();

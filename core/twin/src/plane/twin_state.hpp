@@ -91,7 +91,8 @@ struct Twin::State {
     bool feel;
     bool skip_resting;
     bool sort_lanes;
-    bool loaded = false; // something pulls at the arms: it follows them at sync points
+    bool started = false; // START was broadcast: lanes are sorted before the next tick
+    bool loaded = false;  // something pulls at the arms: it follows them at sync points
     uint64_t now = 0;
     Turn turn = Turn::runs;
     bool tick_by_tick = false;    // the groups that run are those whose arms touch
