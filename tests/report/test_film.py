@@ -70,10 +70,12 @@ def test_pictures_begin_at_the_start_and_end_at_the_goal(moved):
     np.testing.assert_allclose(shown.angles_deg[first], start_deg, atol=1e-8)
     np.testing.assert_allclose(shown.angles_deg[last], shown.goal_deg, atol=1e-8)
     # the approach is the last of every motion
-    assert not shown.arrived[last - 1].any()
-    assert shown.arrived[last].all()
-    assert not shown.moving[last].any()
-    assert shown.moving[last - 1].all()
+    ends_s = np.array([robot.time_s[-1] for robot in shown.plan.robots])
+    over = shown.time_s[:, None] >= ends_s
+    np.testing.assert_array_equal(shown.arrived, over)
+    assert 0 < over[last - 1].sum() < 37
+    assert not shown.moving[over].any()
+    assert shown.moving[last - 1][~over[last - 1]].all()
     assert 0 < shown.moving.sum(axis=1).min(initial=37, where=shown.time_s < 5.0) < 37
 
 
@@ -252,7 +254,9 @@ def test_colours_say_who_moves_who_is_near_and_who_does_not_arrive(stuck):
     assert set(drawn[shown.refused]) == {film.REFUSED}
     assert set(drawn[shown.plane.offline]) == {film.OFFLINE}
     assert set(drawn[plain & shown.moving[moment]]) == {film.MOVING}
-    assert set(drawn[plain & ~shown.moving[moment]]) == {film.RESTING}
+    arrived = plain & shown.arrived[moment]
+    assert set(drawn[arrived]) == {film.ARRIVED}
+    assert set(drawn[plain & ~shown.moving[moment] & ~arrived]) == {film.RESTING}
     halo = np.array([to_hex(c) for c in picture.buffers.get_colors()])
     np.testing.assert_array_equal(halo == film.NEAR, shown.near[moment, : shown.plane.n])
     assert set(halo[shown.refused]) == {film.NEAR, film.STRANDED}
@@ -261,7 +265,7 @@ def test_colours_say_who_moves_who_is_near_and_who_does_not_arrive(stuck):
     legend = {text.get_text() for text in picture.figure.legends[0].get_texts()}
     assert legend >= {"does not arrive", "offline", "in motion", "at its goal"}
     # a goal is filled once it is reached; who is offline has none
-    assert to_hex(picture.goals.get_facecolor()[0]) == "#ffffff"
+    assert {to_hex(c) for c in picture.goals.get_facecolor()[~arrived]} == {"#ffffff"}
     assert np.ma.getmaskarray(picture.goals.get_offsets()).all(axis=1).nonzero()[0].tolist() == [5]
     picture.show(int(shown.pictures[-1]))
     filled = np.array([to_hex(c) for c in picture.goals.get_facecolor()]) == film.ARRIVED

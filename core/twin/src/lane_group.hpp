@@ -39,7 +39,9 @@ class LaneGroup {
     }
 
     // Positioners whose own firmware did the last tick of the group.
-    size_t single_ticks() const { return notes_->awake != 0 ? static_cast<size_t>(std::popcount(runs_)) : 0; }
+    size_t single_ticks() const { return static_cast<size_t>(std::popcount(runs_)); }
+    // A tick in which none is awake.
+    void skip() { runs_ = 0; }
 
   private:
     // An axis that tracks, and what its firmware asked of the law.

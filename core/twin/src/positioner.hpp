@@ -50,7 +50,7 @@ struct alignas(64) PositionerGroup {
     uint32_t posed = 0;                  // and for each that has been published since the last sync point
     uint32_t disturbed = 0;              // and that has just begun to be pushed
     bool moved = false;                  // it has run since then
-    uint64_t now = 0;                    // tick of the last call into a firmware of them
+    uint64_t now = 0;                    // tick at which a firmware of them was last called or woken
     uint64_t sensed = UINT64_MAX;        // of which the hall channels of those that run show the angle
     uint64_t ticks_run = 0, skipped = 0; // of all of them, summed up: done, and slept through
     uint64_t stepped = 0;                // ticks of the group

@@ -226,6 +226,7 @@ void RealTime::deliver() {
         agenda_.pop();
         ++heard_;
     }
+    twin_.prepare();
 }
 
 // A machine that slept or was taken away for long: that time is not made up for.

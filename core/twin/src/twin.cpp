@@ -31,6 +31,8 @@ void Twin::send(const fl_can_frame_t &frame, int bus) {
 
 void Twin::connect(size_t i, int bus) { s_->at(i).bus = bus; }
 
+void Twin::prepare() { s_->prepare(); }
+
 std::vector<Reply> Twin::run(uint64_t ticks) { return run_until_reply(ticks, 1); }
 
 std::vector<Reply> Twin::run_until_reply(uint64_t ticks, uint64_t slices) {

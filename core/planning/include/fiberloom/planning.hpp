@@ -185,7 +185,7 @@ struct Statistics {
     std::int64_t repairs = 0;
     int first_conflicts = 0;  // pairs, before any repair
     int bound_steps = 0;      // that the longest path needs if nothing is in its way
-    double steps = 0.0;       // until the last approach begins, by quarters
+    double steps = 0.0;       // until the approach of the last ones begins, by quarters
     int quarters_earlier = 0; // of a step, than the paths end
     double step_s = 0.0;
     bool cut_short = false;                     // by Settings::enough

@@ -1,8 +1,9 @@
 // Who is stepped together with whom. A group of lanes takes its time until the last of them rests: those
-// whose ways end about together share one.
+// with paths of about the same length share one.
 #include <algorithm>
 #include <cstddef>
 #include <iterator>
+#include <utility>
 
 #include "twin_state.hpp"
 
@@ -38,6 +39,10 @@ std::vector<uint16_t> Twin::State::by_end_of_way() const {
     constexpr size_t together = std::min(chunk_size, lane_group_size);
     for (size_t slot = 0; slot < count; slot += together) std::sort(from(slot), from(slot + together));
     return order;
+}
+
+void Twin::State::prepare() {
+    if (std::exchange(started, false) && sort_lanes) rearrange();
 }
 
 // Between two ticks. Masks of a group have a bit for each of its lanes.

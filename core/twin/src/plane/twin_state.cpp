@@ -88,7 +88,6 @@ void Twin::State::boot(const TwinSetup &s) {
     }
     for (size_t g = 0; g < plant.group_count(); ++g) {
         lane_groups[g].attach(plant, g, positioners.get(), groups[g], s.side_by_side);
-        plant.sense(g, 0); // the first hall reading is real
     }
     for (size_t i = 0; i < s.ids.size(); ++i) {
         int32_t position[FL_AXES], stop[FL_AXES];
@@ -171,7 +170,7 @@ void Twin::State::look_around(uint64_t most_ticks) {
 }
 
 void Twin::State::pass(uint64_t ticks) {
-    if (std::exchange(started, false) && sort_lanes) rearrange();
+    prepare();
     const uint64_t end = now + ticks;
     while (now < end) {
         const bool resting = !any_awake(), in_sync = !feel || at_sync();
@@ -195,6 +194,8 @@ void Twin::State::run_slice(uint64_t most_ticks) {
             closely.push_back(group);
         else if (groups[group].awake != 0)
             turns.push_back(group);
+        else
+            lane_groups[group].skip();
     }
     turn = Turn::runs;
     workers.run(turns.size());

@@ -63,6 +63,7 @@ struct Twin::State {
     uint64_t slice_ticks() const;
     std::span<const uint16_t> members(size_t group) const { return plant.members(group); }
     void follow_loads(size_t group);
+    void prepare();
     void rearrange();
     void gather_outboxes();
     std::vector<uint16_t> by_end_of_way() const;

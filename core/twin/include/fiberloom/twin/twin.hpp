@@ -34,7 +34,7 @@ struct TwinSetup {
     bool neighbours = true;
     bool skip_resting = true;
     bool side_by_side = true; // the firmware's laws, as vector code where axes track
-    bool sort_lanes = true;   // at START those whose ways end about together share lanes; the same bytes
+    bool sort_lanes = true; // at START those with paths of about the same length share lanes; the same bytes
     uint64_t seed = 0;
     int threads = 1;
     Substeps substeps;
@@ -101,6 +101,8 @@ class Twin {
     void connect(size_t positioner, int bus);
     // Ticks of 0.5 ms; returns what the positioners sent since the last call, by time, then by positioner.
     std::vector<Reply> run(uint64_t ticks);
+    // What the next run() would do before its first tick: after START lanes are sorted.
+    void prepare();
     // So many calls of run(), but none after one that has brought a reply.
     std::vector<Reply> run_until_reply(uint64_t ticks, uint64_t slices);
 
