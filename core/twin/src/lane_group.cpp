@@ -168,13 +168,8 @@ void LaneGroup::take_out(size_t i, uint64_t tick, std::array<bool, FL_AXES> done
     p.count_ticks(static_cast<uint32_t>(tick - since_[i]) + (within ? 1 : 0), tick);
 }
 
-uint32_t LaneGroup::rest(uint64_t tick, bool may_sleep) {
-    uint32_t fell = 0;
-    each(awake_ & ~cruise_, [&](size_t i) {
-        in_lane(i).rest(*plant_, tick, may_sleep);
-        fell |= static_cast<uint32_t>(in_lane(i).asleep()) << i;
-    });
-    return fell;
+void LaneGroup::rest(uint64_t tick, bool may_sleep) {
+    each(awake_ & ~cruise_, [&](size_t i) { in_lane(i).rest(*plant_, tick, may_sleep); });
 }
 
 // What the hall channels of an axis show, for all that cruise.

@@ -28,8 +28,8 @@ class LaneGroup {
     uint64_t used() const;
     // scratch: of the thread.
     void tick(uint64_t tick, LawScratch &scratch);
-    // After a slice: positioners that have come to rest fall asleep; a bit for each of them.
-    uint32_t rest(uint64_t tick, bool may_sleep);
+    // After a slice: positioners that have come to rest fall asleep.
+    void rest(uint64_t tick, bool may_sleep);
 
     // Memory beside the object itself.
     size_t bytes() const {

@@ -110,7 +110,6 @@ class Positioner {
     void rest(const Plant &plant, uint64_t tick, bool may_sleep);
     void wake(uint64_t tick);
     bool asleep() const { return (group_->awake >> lane_ & 1U) == 0; }
-    const PositionerGroup &group() const { return *group_; }
 
     // Others have had their turn meanwhile: what its firmware touches is asked for at once, not piece by
     // piece.

@@ -337,10 +337,9 @@ def test_a_host_that_is_killed_while_a_cable_is_cut_leaves_nobody_in_anybodys_wa
     assert touches == []
     waited, *later = [text for kind, text in events if kind == "alarm" and "still moving" in text]
     assert waited.startswith("10 positioners are still moving at the begin; no answer from ")
-    assert len(later) == (1 if back_s < 20.0 else 0)
-    # some of the 19 have come to rest at their goals meanwhile
-    assert all(
-        re.fullmatch(r"1\d positioners were still moving at the begin; all are stopped", t) for t in later
+    # of the 19 six have come to rest at their goals meanwhile
+    assert later == (
+        ["13 positioners were still moving at the begin; all are stopped"] if back_s < 20.0 else []
     )
 
 

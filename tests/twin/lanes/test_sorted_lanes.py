@@ -15,9 +15,8 @@ from fiberloom.twin.faults.kinds import FaultKind
 from fiberloom.twin.twin import ADAPTIVE
 from fiberloom.units import TICK_S
 
-PLANE = generate(
-    load_instrument("sdssv"), seed=4, n_positioners=91
-)  # three groups of lanes, the last one not full
+PLANE = generate(load_instrument("sdssv"), seed=4, n_positioners=91)
+"""Three groups of lanes, the last one not full."""
 UNITS = draw_units(PLANE, seed=6, errors=TwinErrors.of(PLANE.instrument, "gravity,torque"))
 IDS = [int(i) for i in PLANE.positioner_id]
 SET_ACTUAL_POSITION = 33

@@ -10,8 +10,8 @@ namespace fl::planning {
 
 // From above the goal down to it.
 struct WayDown {
-    Descent descent;
-    Legs legs;
+    const Descent &descent;
+    const Legs &legs;
 };
 
 // In quarters: when those that come down last begin, and how long each turn takes.

@@ -86,9 +86,8 @@ void Twin::State::boot(const TwinSetup &s) {
         p.attach(groups[place(i).group], i, static_cast<size_t>(place(i).lane));
         p.boot(s.ids[i], first_params, &s.params[2 * i]);
     }
-    for (size_t g = 0; g < plant.group_count(); ++g) {
+    for (size_t g = 0; g < plant.group_count(); ++g)
         lane_groups[g].attach(plant, g, positioners.get(), groups[g], s.side_by_side);
-    }
     for (size_t i = 0; i < s.ids.size(); ++i) {
         int32_t position[FL_AXES], stop[FL_AXES];
         for (size_t axis = 0; axis < FL_AXES; ++axis) {
