@@ -146,8 +146,26 @@ def reduce_image(
     )
     if len(found.spots) < 4:
         raise AcquisitionError(f"{len(found.spots)} spots in the image: {trouble(image)}")
-    expected = np.full((len(plane), 2), np.nan) if hints.expected_mm is None else hints.expected_mm
+    expected = _expected(plane, hints)
     acquisition = _fiducials(found.spots, plane, settings, expected, hints.start)
+    return _matched(image, found, acquisition, plane, settings, hints)
+
+
+def _expected(plane: FocalPlane, hints: ImageHints) -> Floats:
+    """(N, 2) mm, NaN where nothing is known."""
+    return np.full((len(plane), 2), np.nan) if hints.expected_mm is None else hints.expected_mm
+
+
+def _matched(
+    image: CameraImage,
+    found: Found,
+    acquisition: Acquisition,
+    plane: FocalPlane,
+    settings: ReductionSettings,
+    hints: ImageHints,
+) -> Reduction:
+    """Whose the spots are, and where. `found` in the `image`, with the transform of its `acquisition`."""
+    expected = _expected(plane, hints)
     free = np.setdiff1d(np.arange(len(found.spots)), acquisition.spot)
     others = found.spots.select(free)
     spots_mm = acquisition.transform.to_mm(others.xy_px)
@@ -302,6 +320,20 @@ class ImageCamera:
             watcher(reduction)
         return reduction.measurement()
 
+    def rematch(self, expected_mm: Floats) -> Measurement | None:
+        """The last image once more: no arm has moved since, but more is known of where they are.
+
+        `expected_mm` (N, 2), as of `measure`. None: there is no image, or the camera has been turned since.
+        It is no exposure: watchers are not told.
+        """
+        if self.last is None or self._turned:
+            return None
+        hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm)
+        last = self.last
+        self.last = _matched(last.image, last.found, last.acquisition, self.plane, self.settings, hints)
+        self._note_places(self.last)
+        return self.last.measurement()
+
     def turn(self, turned_deg: float) -> None:
         """From now on images are turned by so many deg more than nominal, by the instrument's rotator.
 
@@ -348,6 +380,9 @@ class ImageCamera:
         # a profile that no longer fits is measured again on the next image
         worn = np.median(reduction.spots.chi2) > _WORN_CHI2 if len(reduction.spots) else True
         self.profile = None if worn else reduction.found.profile
+        self._note_places(reduction)
+
+    def _note_places(self, reduction: Reduction) -> None:
         seen = reduction.seen
         self.previous_mm[seen] = reduction.xy_mm[seen]
 

@@ -109,11 +109,11 @@ class FieldMotion:
         self.compares = False
         """That move is a comparison, no part of the observation."""
 
-    async def connect(self) -> None:
+    async def connect(self, *, by_last_image: bool = False) -> None:
         """Finds the positioners, and where they and their fibres are.
 
-        Where they are believed to be is held against an image; one that is not certain to be there does not
-        move.
+        Where they are believed to be is held against an image, `by_last_image` against the last one; one that
+        is not certain to be there does not move.
         InputError where none of the layout's positioners answers, most fibres are not seen, or most are
         not where they report.
         """
@@ -126,7 +126,7 @@ class FieldMotion:
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
         vouched = await self._vouched(answered) | self.presumed
-        image = await self.look(~answered & ~self.plane.offline)
+        image = await self.look(~answered & ~self.plane.offline, by_last_image=by_last_image)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
         state.suspect(self.drive.suspects())
@@ -162,27 +162,34 @@ class FieldMotion:
         self._note(None)
         await self.begin_again()
 
-    async def begin_again(self) -> None:
-        """The begin check anew: what was said of positioners so far is forgotten."""
+    async def begin_again(self, *, by_last_image: bool = False) -> None:
+        """The begin check anew: what was said of positioners so far is forgotten.
+
+        `by_last_image`: no arm has moved since; positioners have only been told where they are.
+        """
         before, self.state = self.state, FieldState(self.plane, self.recorder, self.drive.model)
         self.state.looser_mm = before.looser_mm
-        await self.connect()
+        await self.connect(by_last_image=by_last_image)
         if self.keeps_faults:
             self.state.keep_faults(before)
 
     def _note(self, image: Measurement | None) -> None:
         """A session keeps where all are, by the `image` where there is one."""
 
-    async def look(self, unknown: Flags | None = None) -> Measurement:
+    async def look(self, unknown: Flags | None = None, *, by_last_image: bool = False) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
-        Taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
+        `by_last_image`: the last one serves again, where the camera can look at it once more. Another one is
+        taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
         up to `images`, after a comparison one, since nothing is corrected by it. Raises CameraError where
         none comes: at once before anything has moved, else after as many tries as the instrument says.
         """
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
+        if by_last_image and (image := await self.eye.again(expected_mm)) is not None:
+            self.image = image
+            return image
         once = not self.has_moved
         most = 1 if self.compares else self.images
         look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, most)

@@ -11,6 +11,7 @@ from fiberloom.calibration.transmission.nominal import nominal_maps
 from fiberloom.errors import InputError
 from fiberloom.field import Field
 from fiberloom.instruments import FocalPlane
+from fiberloom.metrology.pipeline import ImageCamera
 from fiberloom.operation import observe, survey
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.reference import referencing
@@ -118,9 +119,9 @@ def test_where_the_camera_proves_all_nobody_folds_before_the_blind_move(monkeypa
         goals.append((to.angles_deg, bool(told)))
         await go(motion, to, *how)
 
-    async def looking(motion, *how):
+    async def looking(motion, *who, **how):
         looked.append(bool(told))
-        return await look(motion, *how)
+        return await look(motion, *who, **how)
 
     monkeypatch.setattr(FieldMotion, "go", going)
     monkeypatch.setattr(FieldMotion, "look", looking)
@@ -129,6 +130,21 @@ def test_where_the_camera_proves_all_nobody_folds_before_the_blind_move(monkeypa
     assert (np.abs(unfolded_deg - PLANE.park_deg).max(axis=1) > 30.0).all()
     # as found, once those elsewhere are told, unfolded, and once the turns are told
     assert looked.count(False) == 4
+
+
+def test_an_image_serves_again_until_an_arm_moves(monkeypatch, told, tmp_path):
+    exposed, measure = [], ImageCamera.measure
+
+    def measuring(camera, *expected):
+        exposed.append(bool(told))
+        return measure(camera, *expected)
+
+    monkeypatch.setattr(ImageCamera, "measure", measuring)
+    made = field(MANY, camera="image")
+    summary = observed(made, tmp_path)
+    assert exposed.count(False) == 2  # as found, and unfolded
+    assert told[0].turned == {p: (-a, -b) for p, (a, b) in put_in(made).items()}
+    assert summary["n_within_requirement"] == N
 
 
 def test_without_it_nothing_moves(monkeypatch, tmp_path):

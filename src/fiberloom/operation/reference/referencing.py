@@ -56,7 +56,7 @@ POSES = 3
 """Unfolded places, at most, in which turns are counted."""
 
 TRIES = 3
-"""Images by which positioners are told motor turns before anything moves."""
+"""Begin checks after which positioners are told motor turns before anything moves."""
 
 NEW_DEG = 2.0
 """So far from where its turns were counted, on one axis, a place tells more of them."""
@@ -194,7 +194,7 @@ class _Referencing:
     async def _tell_those_elsewhere(self) -> bool:
         """Those that are seen elsewhere, by what whole turns explain: they are told the likeliest ones.
 
-        True where there were some. One that is off by as much as is allowed may be seen so in the next image.
+        True where there were some. Others may be known in the same image once these are.
         """
         state, image = self.motion.state, self.motion.image
         beginning = state.beginning
@@ -213,7 +213,7 @@ class _Referencing:
         await self._tell_turns(rows, turns[rows])
         self.guessed[rows] = True
         if len(rows):
-            await self.motion.begin_again()
+            await self.motion.begin_again(by_last_image=True)
         return bool(len(rows))
 
     async def _presume_the_dark(self) -> None:
@@ -226,7 +226,7 @@ class _Referencing:
         self.dark = self.restored & folded & self.motion.state.standing(Standing.DARK)
         if self.dark.any():
             self.motion.presumed[self.dark] = True
-            await self.motion.begin_again()
+            await self.motion.begin_again(by_last_image=True)
 
     async def _tell_turns(self, rows: Ints, turns: Ints) -> None:
         taken = await declare(self.motion, rows, turns)
@@ -258,7 +258,7 @@ class _Referencing:
         if self.layout_known:
             await self._tell_counted(asked, counted)
         self.unfolded = True
-        await motion.begin_again()
+        await motion.begin_again(by_last_image=True)
 
     async def _fold(self) -> None:
         """All that may move, after turns were counted."""

@@ -69,11 +69,14 @@ class SessionMotion(FieldMotion):
         self._separating = False
         self._reported = np.zeros(len(plane), dtype=bool)
 
-    async def connect(self) -> None:
-        """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is."""
+    async def connect(self, *, by_last_image: bool = False) -> None:
+        """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is.
+
+        `by_last_image`: as there.
+        """
         if self.lock.state is not SessionState.CONNECTING:
             await self.step(Step.CONNECT)
-        await super().connect()
+        await super().connect(by_last_image=by_last_image)
         await self._settle_offline()
         # dark, and believed where it was seen to be right: from now on it is its count that is believed
         self.datum |= self._right & self.state.standing(Standing.VOUCHED)
@@ -143,10 +146,10 @@ class SessionMotion(FieldMotion):
         unplaced = np.array((await self._places()).how) == UNKNOWN
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 
-    async def look(self, unknown: Flags | None = None) -> Measurement:
-        """As `FieldMotion.look`; the state says that an image is taken."""
+    async def look(self, unknown: Flags | None = None, *, by_last_image: bool = False) -> Measurement:
+        """As `FieldMotion.look`, `unknown` and `by_last_image` too; the state says that an image is taken."""
         await self.step(Step.LOOK)
-        seen = await super().look(unknown)
+        seen = await super().look(unknown, by_last_image=by_last_image)
         camera = self.hardware.camera
         if self.witness is not None and isinstance(camera, ImageCamera) and camera.last is not None:
             self.witness.image(camera.last)
@@ -203,11 +206,11 @@ class SessionMotion(FieldMotion):
         await self.step(Step.REST)
         return results[number]
 
-    async def begin_again(self) -> None:
-        """The begin check anew: what was said of positioners so far is forgotten."""
+    async def begin_again(self, *, by_last_image: bool = False) -> None:
+        """As `FieldMotion.begin_again`, `by_last_image` too."""
         if self.lock.state is SessionState.LOOKING:
             await self.step(Step.REST)
-        await super().begin_again()
+        await super().begin_again(by_last_image=by_last_image)
 
     async def stage(self, label: str, planned: Plan, goals: Goals, separating: bool) -> Flags:
         """One motion of a recovery; (N,) positioners not at their goal.
