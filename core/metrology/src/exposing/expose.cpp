@@ -13,7 +13,7 @@
 namespace fl::metrology {
 namespace {
 
-constexpr double poisson_below_e = 40;
+constexpr float poisson_below_e = 40;
 constexpr std::size_t stretch = stretch_px;
 
 // By the sum of the probabilities: few steps where the mean is small.
@@ -27,9 +27,10 @@ double poisson(double mean, Random &random) {
     return k;
 }
 
-// Of so many photons that their scatter is Gaussian, but for a little skewness.
-inline double bright(double mean, double read_variance, double z) {
-    const double variance = mean + read_variance;
+// Of so many photons that their scatter is Gaussian, but for a little skewness. In single precision: 0.01 e
+// of a full well, whose scatter is some hundred.
+inline float bright(float mean, float read_variance, float z) {
+    const float variance = mean + read_variance;
     return mean + std::sqrt(variance) * z + mean / (6 * variance) * (z * z - 1);
 }
 
@@ -38,43 +39,51 @@ double faint(double mean, double read_variance, Random &random) {
     return poisson(std::max(mean, 0.0), random) + std::sqrt(read_variance) * z;
 }
 
-// To the nearest whole number, halves to even ones: adding 1.5 * 2^52 shifts the fraction out.
-inline double rounded(double x) {
-    constexpr double magic = 6755399441055744.0;
+// To the nearest whole number, halves to even ones: adding 1.5 * 2^23 shifts the fraction out.
+inline float rounded(float x) {
+    constexpr float magic = 12582912.0f;
     return (x + magic) - magic;
 }
 
-inline std::int32_t converted(double e, const Detector &detector) {
-    const double value = rounded(detector.bias_adu + std::min(e, detector.full_well_e) / detector.gain_e_adu);
-    return static_cast<std::int32_t>(std::clamp(value, 0.0, 65535.0));
-}
+// The detector in single precision.
+struct Converter {
+    float full_well_e, per_e_adu, bias_adu;
+
+    explicit Converter(const Detector &d)
+        : full_well_e(static_cast<float>(d.full_well_e)), per_e_adu(static_cast<float>(1.0 / d.gain_e_adu)),
+          bias_adu(static_cast<float>(d.bias_adu)) {}
+    std::int32_t adu(float e) const {
+        const float value = bias_adu + std::min(e, full_well_e) * per_e_adu;
+        return static_cast<std::int32_t>(rounded(std::clamp(value, 0.0f, 65535.0f)));
+    }
+};
 
 // Some pixels of a row that follow each other.
 struct Stretch {
     std::size_t count;
-    double mean_e[stretch];
+    float mean_e[stretch];
     float normal[stretch]; // draws, for bright pixels
 };
 
 FL_CLONES void expose_bright(const Stretch &pixels, const Detector &detector, std::uint16_t *adu) {
-    const Detector d = detector; // whole stretches: what nothing writes to meanwhile stays in registers
-    const double read_variance = d.read_noise_e * d.read_noise_e;
+    const Converter to(detector); // whole stretches: what nothing writes to meanwhile stays in registers
+    const float read_variance = static_cast<float>(detector.read_noise_e * detector.read_noise_e);
     std::int32_t whole[stretch];
     for (std::size_t i = 0; i < stretch; ++i)
-        whole[i] =
-            converted(bright(pixels.mean_e[i], read_variance, static_cast<double>(pixels.normal[i])), d);
+        whole[i] = to.adu(bright(pixels.mean_e[i], read_variance, pixels.normal[i]));
     for (std::size_t i = 0; i < pixels.count; ++i) adu[i] = static_cast<std::uint16_t>(whole[i]);
 }
 
 // Pixels of any brightness, one by one: a faint one draws numbers of its own.
 void expose_any(const Stretch &pixels, const Detector &detector, Random &random, std::uint16_t *adu) {
+    const Converter to(detector);
     const double read_variance = detector.read_noise_e * detector.read_noise_e;
     for (std::size_t i = 0; i < pixels.count; ++i) {
-        const double mean = pixels.mean_e[i];
-        const double e = mean < poisson_below_e
-                             ? faint(mean, read_variance, random)
-                             : bright(mean, read_variance, static_cast<double>(pixels.normal[i]));
-        adu[i] = static_cast<std::uint16_t>(converted(e, detector));
+        const float mean = pixels.mean_e[i];
+        const float e = mean < poisson_below_e
+                            ? static_cast<float>(faint(static_cast<double>(mean), read_variance, random))
+                            : bright(mean, static_cast<float>(read_variance), pixels.normal[i]);
+        adu[i] = static_cast<std::uint16_t>(to.adu(e));
     }
 }
 
@@ -89,10 +98,10 @@ enum class Brightness { bright, mixed, faint };
 FL_CLONES Brightness mean_electrons(const float *light_e, Ground ground, std::int32_t first,
                                     Stretch &pixels) {
     const std::int32_t count = static_cast<std::int32_t>(pixels.count);
-    std::int64_t faint = 0, bright = 0;
+    const float level_e = static_cast<float>(ground.level_e), slope_e = static_cast<float>(ground.slope_e);
+    std::int32_t faint = 0, bright = 0;
     for (std::int32_t k = 0; k < count; ++k) {
-        const double mean_e = static_cast<double>(light_e[k]) + ground.level_e +
-                              ground.slope_e * static_cast<double>(first + k);
+        const float mean_e = light_e[k] + level_e + slope_e * static_cast<float>(first + k);
         pixels.mean_e[k] = mean_e;
         faint |= !(mean_e >= poisson_below_e);
         bright |= mean_e >= poisson_below_e;
@@ -115,14 +124,14 @@ struct SkyRow {
     void fill(Ground ground, const Detector &d, std::size_t width) {
         const std::size_t stretches = (width + stretch - 1) / stretch, padded = stretches * stretch;
         base.resize(padded), spread.resize(padded), skew.resize(padded), bright.assign(stretches, 1);
-        top_adu = static_cast<float>(converted(d.full_well_e, d));
+        top_adu = static_cast<float>(Converter(d).adu(static_cast<float>(d.full_well_e)));
         for (std::size_t i = 0; i < padded; ++i) {
             const double mean_e = ground.level_e + ground.slope_e * static_cast<double>(i);
             const double variance = mean_e + d.read_noise_e * d.read_noise_e, third = mean_e / (6 * variance);
             base[i] = static_cast<float>(d.bias_adu + (mean_e - third) / d.gain_e_adu);
             spread[i] = static_cast<float>(std::sqrt(variance) / d.gain_e_adu);
             skew[i] = static_cast<float>(third / d.gain_e_adu);
-            if (i < width && !(mean_e >= poisson_below_e)) bright[i / stretch] = 0;
+            if (i < width && !(mean_e >= static_cast<double>(poisson_below_e))) bright[i / stretch] = 0;
         }
     }
 };

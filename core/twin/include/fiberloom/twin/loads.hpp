@@ -8,9 +8,9 @@
 
 namespace fl::twin {
 
-// Loads follow the arms at these ticks. In 8 ms an arm turns by 1.6 mrad at 2000 rpm of its motor; by as
+// Loads follow the arms at these ticks. In 16 ms an arm turns by 3.3 mrad at 2000 rpm of its motor; by as
 // large a share of what a mass pulls with does the pull change.
-inline constexpr uint64_t load_ticks = 16;
+inline constexpr uint64_t load_ticks = 32;
 
 // Of one axis. The moment is the mass that the axis carries times where its centre is, in the frame of its
 // own arm: x along it, y to its left. What hangs on the elbow belongs to alpha's.
