@@ -295,6 +295,7 @@ class ImageCamera:
         self.source, self.plane, self.settings = source, plane, settings
         self.last: Reduction | None = None
         self._unturned_deg, self._turned = settings.geometry.rotation_deg, False
+        self._rematchable = False
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
@@ -320,16 +321,16 @@ class ImageCamera:
             watcher(reduction)
         return reduction.measurement()
 
-    def rematch(self, expected_mm: Floats) -> Measurement | None:
-        """The last image once more: no arm has moved since, but more is known of where they are.
+    def rematch(self, expected_mm: Floats, time_s: float) -> Measurement | None:
+        """The image of `time_s` once more: no arm has moved since, but more is known of where they are.
 
-        `expected_mm` (N, 2), as of `measure`. None: there is no image, or the camera has been turned since.
-        It is no exposure: watchers are not told.
+        `expected_mm` (N, 2), as of `measure`. None where it is not the last one, or where the camera has been
+        turned or told of other fiducials since. It is no exposure: watchers are not told.
         """
-        if self.last is None or self._turned:
+        last = self.last
+        if last is None or not self._rematchable or last.image.time_s != time_s:
             return None
         hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm)
-        last = self.last
         self.last = _matched(last.image, last.found, last.acquisition, self.plane, self.settings, hints)
         self._note_places(self.last)
         return self.last.measurement()
@@ -343,6 +344,7 @@ class ImageCamera:
             turn(turned_deg)
         geometry = replace(self.settings.geometry, rotation_deg=self._unturned_deg + turned_deg)
         self.settings, self._turned = replace(self.settings, geometry=geometry), True
+        self._rematchable = False
 
     def light(self, fibre: str) -> None:
         """From now on this science `fibre` shines beside the metrology fibres, "" none: a source's lamp."""
@@ -352,7 +354,7 @@ class ImageCamera:
     def know_fiducials(self, fiducials_mm: Floats) -> None:
         """From now on fiducials are taken to be at (F, 2) mm: as a calibration has found them."""
         known = np.column_stack([fiducials_mm, self.plane.fiducials[:, 2:]])
-        self.plane = replace(self.plane, fiducials=known)
+        self.plane, self._rematchable = replace(self.plane, fiducials=known), False
 
     def abort(self) -> None:
         """Makes a running `measure` raise, where the source can be aborted; from any thread."""
@@ -376,7 +378,7 @@ class ImageCamera:
         return reduce_image(image, self.plane, replace(self.settings, terms=terms), hints)
 
     def _remember(self, reduction: Reduction) -> None:
-        self.last, self._turned = reduction, False
+        self.last, self._turned, self._rematchable = reduction, False, True
         # a profile that no longer fits is measured again on the next image
         worn = np.median(reduction.spots.chi2) > _WORN_CHI2 if len(reduction.spots) else True
         self.profile = None if worn else reduction.found.profile

@@ -44,6 +44,10 @@ DID_NOT_FOLLOW = frozenset({FibreStatus.DEAD, FibreStatus.LYING})
 NOT_AS_REPORTED = NAMED | {Standing.OVERLAPS, Standing.UNCLEAR, Standing.BLIND}
 """What more than MOST positioners cannot be."""
 
+SAME_DEG = 0.15
+"""A wire position that is so near an earlier one is the same: the cogging pulls a rotor at rest by up to a
+quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
+
 MOST = 0.5
 """Of the positioners: where more are dark, or not where they report, it is not they that are wrong."""
 

@@ -21,8 +21,9 @@ from fiberloom.hardware import Hardware
 from fiberloom.instruments import FocalPlane
 from fiberloom.instruments.pointing import ExposurePointing
 from fiberloom.metrology import Measurement
-from fiberloom.operation.field_state import FieldState
+from fiberloom.operation.field_state import SAME_DEG, FieldState
 from fiberloom.operation.move import Goals, MadeMove, Move, Recorder
+from fiberloom.operation.safety.begin import Standing
 from fiberloom.operation.safety.deviation import MotionRule
 from fiberloom.operation.safety.looking import PatientCamera, know_fiducials
 from fiberloom.operation.safety.loop_first import LoopFirst
@@ -109,11 +110,12 @@ class FieldMotion:
         self.compares = False
         """That move is a comparison, no part of the observation."""
 
-    async def connect(self, *, by_last_image: bool = False) -> None:
+    async def connect(self, before: FieldState | None = None) -> None:
         """Finds the positioners, and where they and their fibres are.
 
-        Where they are believed to be is held against an image, `by_last_image` against the last one; one that
-        is not certain to be there does not move.
+        Where they are believed to be is held against an image; one that is not certain to be there does not
+        move. `before`: of the check before, since which no arm should have moved; the last image serves again
+        where all say so.
         InputError where none of the layout's positioners answers, most fibres are not seen, or most are
         not where they report.
         """
@@ -126,11 +128,18 @@ class FieldMotion:
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
         vouched = await self._vouched(answered) | self.presumed
-        image = await self.look(~answered & ~self.plane.offline, by_last_image=by_last_image)
+        at_rest = before is not None and self._is_as(before, answered)
+        image = await self.look(~answered & ~self.plane.offline, by_last_image=at_rest)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
         state.suspect(self.drive.suspects())
         await self.writer.written()
+
+    def _is_as(self, before: FieldState, answered: Flags) -> bool:
+        """Whether all that have `answered` (N,) did so before, and say that they are where they were."""
+        off_deg = np.abs(self.state.wire_deg - before.wire_deg).max(axis=1)
+        there = ~before.standing(Standing.SILENT) & (off_deg <= SAME_DEG)
+        return before.beginning is not None and bool(there[answered].all())
 
     async def _all_at_rest(self) -> None:
         """Stops what still moves, as a host that was killed leaves it: places of before are no places."""
@@ -165,11 +174,11 @@ class FieldMotion:
     async def begin_again(self, *, by_last_image: bool = False) -> None:
         """The begin check anew: what was said of positioners so far is forgotten.
 
-        `by_last_image`: no arm has moved since; positioners have only been told where they are.
+        `by_last_image`: no arm is to have moved since; positioners have only been told where they are.
         """
         before, self.state = self.state, FieldState(self.plane, self.recorder, self.drive.model)
         self.state.looser_mm = before.looser_mm
-        await self.connect(by_last_image=by_last_image)
+        await self.connect(before if by_last_image else None)
         if self.keeps_faults:
             self.state.keep_faults(before)
 
@@ -187,9 +196,11 @@ class FieldMotion:
         expected_mm = self.state.metrology_mm(self.state.here_deg)
         if unknown is not None:
             expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        if by_last_image and (image := await self.eye.again(expected_mm)) is not None:
-            self.image = image
-            return image
+        if by_last_image and self.image is not None:
+            again = await self.eye.again(expected_mm, self.image)
+            if again is not None:
+                self.image = again
+                return again
         once = not self.has_moved
         most = 1 if self.compares else self.images
         look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, most)

@@ -170,8 +170,9 @@ def test_where_turns_are_not_counted_blind_moves_miss_by_them(monkeypatch, never
     assert any("turns of" in text and "not told" in text for _, text in events(tmp_path))
 
 
-def test_a_dark_one_is_searched_and_then_believed(told, tmp_path):
-    made = field(MANY, "dark=2")
+@pytest.mark.parametrize("camera", ["noise", "image"])
+def test_a_dark_one_is_searched_and_then_believed(told, tmp_path, camera):
+    made = field(MANY, "dark=2", camera)
     dark = sorted(PLANE.positioner_id[made.source.hardware.truth.dark].tolist())
     summary = observed(made, tmp_path)
     assert told[0].searched == dark

@@ -53,7 +53,7 @@ struct Converter {
         : full_well_e(static_cast<float>(d.full_well_e)), per_e_adu(static_cast<float>(1.0 / d.gain_e_adu)),
           bias_adu(static_cast<float>(d.bias_adu)) {}
     std::int32_t adu(float e) const {
-        const float value = bias_adu + std::min(e, full_well_e) * per_e_adu;
+        const float value = bias_adu + std::min(full_well_e, e) * per_e_adu;
         return static_cast<std::int32_t>(rounded(std::clamp(value, 0.0f, 65535.0f)));
     }
 };
@@ -139,7 +139,6 @@ struct SkyRow {
 // Pixels without light, in single precision: a value of 16 bits loses nothing that a count can show.
 FL_CLONES void expose_sky(const SkyRow &sky, std::size_t at, const float *z, std::size_t count,
                           std::uint16_t *adu) {
-    constexpr float magic = 12582912.0f; // 1.5 * 2^23, as above
     const float top = sky.top_adu;
     for (std::size_t k = 0; k < count; k += stretch) {
         const float *base = &sky.base[at + k], *spread = &sky.spread[at + k], *skew = &sky.skew[at + k];
@@ -149,7 +148,7 @@ FL_CLONES void expose_sky(const SkyRow &sky, std::size_t at, const float *z, std
             const float n = z[k + i], value = base[i] + n * (spread[i] + n * skew[i]);
             const float below = value < top ? value : top; // a minimum and a maximum, each one instruction
             const float kept = below > 0.0f ? below : 0.0f;
-            whole[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>((kept + magic) - magic));
+            whole[i] = static_cast<std::uint16_t>(static_cast<std::int32_t>(rounded(kept)));
         }
         if (count - k >= stretch)
             std::memcpy(adu + k, whole, sizeof whole); // of a length that the compiler knows

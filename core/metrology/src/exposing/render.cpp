@@ -110,8 +110,8 @@ void sum_any(const Source &s, PsfKind kind, const Run &run, float *sum) {
 }
 
 // The same of a Moffat function whose power is a small whole number: products and one quotient, whole vectors
-// side by side. What lies beyond the end of the run is summed, too, and not used. In single precision, from
-// the spot's own place: 1e-6 of the light of a pixel, and of a pixel.
+// side by side. What lies beyond the end of the run is summed, too, and not used. In single precision,
+// counted from the spot's own place: good to some 1e-6 of what falls on a pixel.
 constexpr int together = 16;
 static_assert(run_pixels % together == 0);
 

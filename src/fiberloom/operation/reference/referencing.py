@@ -184,7 +184,7 @@ class _Referencing:
         await self._count_turns()
         if await self._search() or self.dark.any() or not self.unfolded:
             self.motion.presumed[:] = False
-            await self.motion.begin_again()
+            await self.motion.begin_again(by_last_image=not self.motion.has_moved)
         await declare_seen_right(self.motion)
         self._book()
         return self.done

@@ -61,13 +61,13 @@ class PatientCamera:
                 abort()
             raise
 
-    async def again(self, expected_mm: Floats) -> Measurement | None:
-        """The last image, its spots matched to where fibres are expected by now, (N, 2) mm: no arm has moved.
+    async def again(self, expected_mm: Floats, image: Measurement) -> Measurement | None:
+        """The spots of an `image`, matched to where fibres are expected by now, (N, 2) mm: no arm has moved.
 
-        None: there is none, or the camera takes no images that can be looked at again.
+        None: it is not the camera's last one, or the camera cannot look at an image again.
         """
         rematch = getattr(self._camera, "rematch", None)
-        return None if rematch is None else await asyncio.to_thread(rematch, expected_mm)
+        return None if rematch is None else await asyncio.to_thread(rematch, expected_mm, image.time_s)
 
     async def patiently(self, expected_mm: Floats | None) -> Measurement:
         """As `once`, and again after a wait where none comes; each failure is an alarm.

@@ -15,8 +15,8 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.pipeline import ImageCamera
-from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS
+from fiberloom.metrology.pipeline import ImageCamera, Reduction
+from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS, SAME_DEG, FieldState
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
 from fiberloom.operation.reference.declare import declare, unreferenced
@@ -29,10 +29,6 @@ from fiberloom.operation.session.states import SessionState, Step
 from fiberloom.planning import MotionLimits, Plan, verify
 from fiberloom.store.arrays import REPORTED, RIGHT, SEEN, UNKNOWN, ArrayPlaces
 from fiberloom.typing import Flags, Floats
-
-SAME_DEG = 0.15
-"""A wire position that is so near the recorded one is the recorded one: the cogging pulls a rotor at rest by
-up to a quarter of a motor turn, 0.09 deg; a turn is 0.35 deg."""
 
 _PRECISE = (
     (Status.PRECISE_POSITIONING_ALPHA, Command.SWITCH_ON_PRECISE_MOVE_ALPHA),
@@ -69,14 +65,12 @@ class SessionMotion(FieldMotion):
         self._separating = False
         self._reported = np.zeros(len(plane), dtype=bool)
 
-    async def connect(self, *, by_last_image: bool = False) -> None:
-        """As `FieldMotion.connect`; a position that is as recorded is believed where the datum is.
-
-        `by_last_image`: as there.
-        """
+    async def connect(self, before: FieldState | None = None) -> None:
+        """As `FieldMotion.connect`, `before` too; a position that is as recorded is believed where the datum
+        is."""
         if self.lock.state is not SessionState.CONNECTING:
             await self.step(Step.CONNECT)
-        await super().connect(by_last_image=by_last_image)
+        await super().connect(before)
         await self._settle_offline()
         # dark, and believed where it was seen to be right: from now on it is its count that is believed
         self.datum |= self._right & self.state.standing(Standing.VOUCHED)
@@ -147,13 +141,23 @@ class SessionMotion(FieldMotion):
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 
     async def look(self, unknown: Flags | None = None, *, by_last_image: bool = False) -> Measurement:
-        """As `FieldMotion.look`, `unknown` and `by_last_image` too; the state says that an image is taken."""
+        """As `FieldMotion.look`, `unknown` and `by_last_image` too; the state says that it looks."""
         await self.step(Step.LOOK)
+        before = self._reduction()
         seen = await super().look(unknown, by_last_image=by_last_image)
-        camera = self.hardware.camera
-        if self.witness is not None and isinstance(camera, ImageCamera) and camera.last is not None:
-            self.witness.image(camera.last)
+        last = self._reduction()
+        if (
+            self.witness is not None
+            and last is not None
+            and (before is None or last.image is not before.image)
+        ):
+            self.witness.image(last)
         return seen
+
+    def _reduction(self) -> Reduction | None:
+        """Of the last image of a camera that takes images."""
+        camera = self.hardware.camera
+        return camera.last if isinstance(camera, ImageCamera) else None
 
     async def move(
         self, number: int, label: str, planned: Plan | Programme, goals: Goals, comparison: bool = False

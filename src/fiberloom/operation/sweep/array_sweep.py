@@ -17,6 +17,7 @@ from fiberloom.calibration.transmission.sweep_data import SweepData
 from fiberloom.errors import InputError
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments.model import AXES
+from fiberloom.operation.field_state import SAME_DEG
 from fiberloom.operation.motion import RECOVERIES, FieldMotion
 from fiberloom.operation.move import Goals
 from fiberloom.operation.sweep.kept import KeptPass, KeptSweep
@@ -33,9 +34,6 @@ ALPHAS_DEG = (180.0, 60.0, 300.0, 120.0, 240.0, 0.0)
 
 AT_BEGIN_DEG = 2.0
 """So near its place a positioner is at the begin of a pass."""
-
-SAME_DEG = 0.15
-"""So near the commanded position, a reported one is it: the cogging pulls rotors at rest by 0.09 deg."""
 
 NOT_ASKED = "excluded, or switched off"
 NO_SIGHT = "dark: its fibre is not seen"
