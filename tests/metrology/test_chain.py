@@ -95,20 +95,23 @@ def test_the_last_image_is_matched_anew_without_another_exposure(small):
     scene = StillScene(small.forward(*configuration(small, 1).T))
     camera, told = camera_on(small, scene), []
     camera.watchers.append(told.append)
-    assert camera.rematch(scene.xy_mm, 0.0) is None  # there is no image yet
     first = camera.measure(np.where(np.arange(91)[:, None] < 60, scene.xy_mm, np.nan))
-    again = camera.rematch(scene.xy_mm, first.time_s)
-    at_once = camera_on(small, scene).measure(scene.xy_mm)  # the same image
+    again = camera.rematch(scene.xy_mm, first)
+    other = camera_on(small, scene)
+    assert other.rematch(scene.xy_mm, first) is None  # it has no image yet
+    at_once = other.measure(scene.xy_mm)  # the same image
     assert first.seen.sum() < again.seen.sum()
     np.testing.assert_array_equal(again.xy_mm, at_once.xy_mm)
     np.testing.assert_array_equal(again.covariance_mm2, at_once.covariance_mm2)
     assert camera.source.exposures == len(told) == 1
-    assert camera.rematch(scene.xy_mm, first.time_s - 1.0) is None  # that of another image
+    assert camera.rematch(scene.xy_mm, at_once) is None  # another camera's
     camera.know_fiducials(small.fiducials[:, :2])
-    assert camera.rematch(scene.xy_mm, first.time_s) is None
-    camera.measure(scene.xy_mm)
+    assert camera.rematch(scene.xy_mm, again) is None
+    before = camera.measure(scene.xy_mm)
+    last = camera.measure(scene.xy_mm)
+    assert camera.rematch(scene.xy_mm, before) is None
     camera.turn(1.0)
-    assert camera.rematch(scene.xy_mm, first.time_s) is None
+    assert camera.rematch(scene.xy_mm, last) is None
 
 
 class Shuttered:

@@ -146,14 +146,8 @@ def reduce_image(
     )
     if len(found.spots) < 4:
         raise AcquisitionError(f"{len(found.spots)} spots in the image: {trouble(image)}")
-    expected = _expected(plane, hints)
-    acquisition = _fiducials(found.spots, plane, settings, expected, hints.start)
+    acquisition = _fiducials(found.spots, plane, settings, hints)
     return _matched(image, found, acquisition, plane, settings, hints)
-
-
-def _expected(plane: FocalPlane, hints: ImageHints) -> Floats:
-    """(N, 2) mm, NaN where nothing is known."""
-    return np.full((len(plane), 2), np.nan) if hints.expected_mm is None else hints.expected_mm
 
 
 def _matched(
@@ -165,7 +159,7 @@ def _matched(
     hints: ImageHints,
 ) -> Reduction:
     """Whose the spots are, and where. `found` in the `image`, with the transform of its `acquisition`."""
-    expected = _expected(plane, hints)
+    expected = np.full((len(plane), 2), np.nan) if hints.expected_mm is None else hints.expected_mm
     free = np.setdiff1d(np.arange(len(found.spots)), acquisition.spot)
     others = found.spots.select(free)
     spots_mm = acquisition.transform.to_mm(others.xy_px)
@@ -197,24 +191,20 @@ def metrology_reach_mm(plane: FocalPlane) -> Floats:
 
 
 def _fiducials(
-    spots: Spots,
-    plane: FocalPlane,
-    settings: ReductionSettings,
-    expected: Floats,
-    start: FieldTransform | None,
+    spots: Spots, plane: FocalPlane, settings: ReductionSettings, hints: ImageHints
 ) -> Acquisition:
     errors = PlaceErrors(spots.covariance_px2, settings.fiducial_sigma_um * MM_PER_UM)
     fiducials = plane.fiducials[:, :2]
-    if start is not None:
+    if hints.start is not None:
         try:
-            return refine(spots.xy_px, fiducials, start, errors=errors, settings=settings.search)
+            return refine(spots.xy_px, fiducials, hints.start, errors=errors, settings=settings.search)
         except AcquisitionError:
             pass  # the camera has moved: look for them as on the first image
     return acquire(
         spots.xy_px,
         fiducials,
         settings.geometry,
-        expected_mm=expected,
+        expected_mm=hints.expected_mm,
         errors=errors,
         settings=settings.search,
     )
@@ -295,7 +285,7 @@ class ImageCamera:
         self.source, self.plane, self.settings = source, plane, settings
         self.last: Reduction | None = None
         self._unturned_deg, self._turned = settings.geometry.rotation_deg, False
-        self._rematchable = False
+        self._measured: Measurement | None = None
         self.profile: Profile | None = None
         self.previous_mm = np.full((len(plane), 2), np.nan)
         self.standing_mm: Floats | None = None
@@ -316,24 +306,23 @@ class ImageCamera:
                 continue
         else:
             reduction = self._reduce(expected_mm)
-        self._remember(reduction)
+        measured = self._remember(reduction)
         for watcher in self.watchers:
             watcher(reduction)
-        return reduction.measurement()
+        return measured
 
-    def rematch(self, expected_mm: Floats, time_s: float) -> Measurement | None:
-        """The image of `time_s` once more: no arm has moved since, but more is known of where they are.
+    def rematch(self, expected_mm: Floats, image: Measurement) -> Measurement | None:
+        """An `image` measured before, once more: no arm has moved since, but more is known of where they are.
 
         `expected_mm` (N, 2), as of `measure`. None where it is not the last one, or where the camera has been
         turned or told of other fiducials since. It is no exposure: watchers are not told.
         """
         last = self.last
-        if last is None or not self._rematchable or last.image.time_s != time_s:
+        if last is None or image is not self._measured:
             return None
         hints = ImageHints(expected_mm, self.previous_mm, self.standing_mm)
         self.last = _matched(last.image, last.found, last.acquisition, self.plane, self.settings, hints)
-        self._note_places(self.last)
-        return self.last.measurement()
+        return self._keep(self.last)
 
     def turn(self, turned_deg: float) -> None:
         """From now on images are turned by so many deg more than nominal, by the instrument's rotator.
@@ -344,7 +333,7 @@ class ImageCamera:
             turn(turned_deg)
         geometry = replace(self.settings.geometry, rotation_deg=self._unturned_deg + turned_deg)
         self.settings, self._turned = replace(self.settings, geometry=geometry), True
-        self._rematchable = False
+        self._measured = None
 
     def light(self, fibre: str) -> None:
         """From now on this science `fibre` shines beside the metrology fibres, "" none: a source's lamp."""
@@ -354,7 +343,7 @@ class ImageCamera:
     def know_fiducials(self, fiducials_mm: Floats) -> None:
         """From now on fiducials are taken to be at (F, 2) mm: as a calibration has found them."""
         known = np.column_stack([fiducials_mm, self.plane.fiducials[:, 2:]])
-        self.plane, self._rematchable = replace(self.plane, fiducials=known), False
+        self.plane, self._measured = replace(self.plane, fiducials=known), None
 
     def abort(self) -> None:
         """Makes a running `measure` raise, where the source can be aborted; from any thread."""
@@ -377,16 +366,18 @@ class ImageCamera:
             terms = self.last.transform.terms
         return reduce_image(image, self.plane, replace(self.settings, terms=terms), hints)
 
-    def _remember(self, reduction: Reduction) -> None:
-        self.last, self._turned, self._rematchable = reduction, False, True
+    def _remember(self, reduction: Reduction) -> Measurement:
+        self.last, self._turned = reduction, False
         # a profile that no longer fits is measured again on the next image
         worn = np.median(reduction.spots.chi2) > _WORN_CHI2 if len(reduction.spots) else True
         self.profile = None if worn else reduction.found.profile
-        self._note_places(reduction)
+        return self._keep(reduction)
 
-    def _note_places(self, reduction: Reduction) -> None:
+    def _keep(self, reduction: Reduction) -> Measurement:
         seen = reduction.seen
         self.previous_mm[seen] = reduction.xy_mm[seen]
+        self._measured = reduction.measurement()
+        return self._measured
 
 
 _WORN_CHI2 = 1.3

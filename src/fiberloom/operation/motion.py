@@ -128,8 +128,10 @@ class FieldMotion:
         answered = np.zeros(len(self.plane), dtype=bool)
         answered[there] = await self._read_positions(self.plane.positioner_id[there])
         vouched = await self._vouched(answered) | self.presumed
+        unknown = ~answered & ~self.plane.offline
         at_rest = before is not None and self._is_as(before, answered)
-        image = await self.look(~answered & ~self.plane.offline, by_last_image=at_rest)
+        again = await self.look_again(unknown) if at_rest else None
+        image = again or await self.look(unknown)
         self.recorder.start(state.here_deg, state.wire_deg, image)
         await beside(state.begin, answered, image, vouched)
         state.suspect(self.drive.suspects())
@@ -185,27 +187,35 @@ class FieldMotion:
     def _note(self, image: Measurement | None) -> None:
         """A session keeps where all are, by the `image` where there is one."""
 
-    async def look(self, unknown: Flags | None = None, *, by_last_image: bool = False) -> Measurement:
+    async def look(self, unknown: Flags | None = None) -> Measurement:
         """An image, with what the positioners say of where they are; `unknown` (N,): what they do not.
 
-        `by_last_image`: the last one serves again, where the camera can look at it once more. Another one is
-        taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
+        Taken and reduced beside the event loop, which goes on listening to the bus; after a move the mean of
         up to `images`, after a comparison one, since nothing is corrected by it. Raises CameraError where
         none comes: at once before anything has moved, else after as many tries as the instrument says.
         """
-        expected_mm = self.state.metrology_mm(self.state.here_deg)
-        if unknown is not None:
-            expected_mm = np.where(unknown[:, None], np.nan, expected_mm)
-        if by_last_image and self.image is not None:
-            again = await self.eye.again(expected_mm, self.image)
-            if again is not None:
-                self.image = again
-                return again
+        expected_mm = self._expected_mm(unknown)
         once = not self.has_moved
         most = 1 if self.compares else self.images
         look = self.eye.once(expected_mm) if once else self.eye.several(expected_mm, most)
         self.image = await look
         return self.image
+
+    async def look_again(self, unknown: Flags) -> Measurement | None:
+        """The last image, with what positioners say by now; `unknown` (N,) as of `look`. No arm has moved.
+
+        None: there is none, or the camera cannot look at it once more.
+        """
+        if self.image is None:
+            return None
+        again = await self.eye.again(self._expected_mm(unknown), self.image)
+        self.image = again or self.image
+        return again
+
+    def _expected_mm(self, unknown: Flags | None) -> Floats:
+        """(N, 2) of the metrology fibres, NaN where it is `unknown` (N,)."""
+        expected_mm = self.state.metrology_mm(self.state.here_deg)
+        return expected_mm if unknown is None else np.where(unknown[:, None], np.nan, expected_mm)
 
     def _camera_event(self, kind: str, text: str) -> None:
         self.recorder.event(kind, text)

@@ -10,6 +10,7 @@ from fiberloom.calibration.transmission.maps import identity
 from fiberloom.instruments import FocalPlane
 from fiberloom.operation.motion import FieldMotion
 from fiberloom.operation.safety.begin import Standing
+from fiberloom.studies.paper.no_record import NoRecord
 from fiberloom.twin import draw_units
 from fiberloom.twin.faults.faults import Fault
 from fiberloom.twin.hardware import field_hardware
@@ -17,13 +18,6 @@ from fiberloom.twin.hardware import field_hardware
 PLANE = FocalPlane.of("sdssv", n=7)
 ROW = 3
 NUMBER = int(PLANE.positioner_id[ROW])
-
-
-class NoRecord:
-    def event(self, *_):
-        pass
-
-    start = move = left = event
 
 
 def test_one_that_was_silent_and_moved_is_looked_for_in_another_image():

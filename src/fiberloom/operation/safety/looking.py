@@ -67,7 +67,7 @@ class PatientCamera:
         None: it is not the camera's last one, or the camera cannot look at an image again.
         """
         rematch = getattr(self._camera, "rematch", None)
-        return None if rematch is None else await asyncio.to_thread(rematch, expected_mm, image.time_s)
+        return None if rematch is None else await asyncio.to_thread(rematch, expected_mm, image)
 
     async def patiently(self, expected_mm: Floats | None) -> Measurement:
         """As `once`, and again after a wait where none comes; each failure is an alarm.

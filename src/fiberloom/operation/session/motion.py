@@ -15,7 +15,7 @@ from fiberloom.hardware import Hardware
 from fiberloom.health.status import FibreStatus
 from fiberloom.instruments import FocalPlane
 from fiberloom.metrology import Measurement
-from fiberloom.metrology.pipeline import ImageCamera, Reduction
+from fiberloom.metrology.pipeline import ImageCamera
 from fiberloom.operation.field_state import NOT_WHERE_IT_SAYS, SAME_DEG, FieldState
 from fiberloom.operation.motion import FieldMotion, UnsafePlanError
 from fiberloom.operation.move import Goals, Move, Recorder
@@ -140,24 +140,19 @@ class SessionMotion(FieldMotion):
         unplaced = np.array((await self._places()).how) == UNKNOWN
         state.somewhere[rows[unplaced[rows] & ~image.seen[rows]]] = True
 
-    async def look(self, unknown: Flags | None = None, *, by_last_image: bool = False) -> Measurement:
-        """As `FieldMotion.look`, `unknown` and `by_last_image` too; the state says that it looks."""
+    async def look(self, unknown: Flags | None = None) -> Measurement:
+        """As `FieldMotion.look`, `unknown` too; the state says that an image is taken."""
         await self.step(Step.LOOK)
-        before = self._reduction()
-        seen = await super().look(unknown, by_last_image=by_last_image)
-        last = self._reduction()
-        if (
-            self.witness is not None
-            and last is not None
-            and (before is None or last.image is not before.image)
-        ):
-            self.witness.image(last)
+        seen = await super().look(unknown)
+        camera = self.hardware.camera
+        if self.witness is not None and isinstance(camera, ImageCamera) and camera.last is not None:
+            self.witness.image(camera.last)
         return seen
 
-    def _reduction(self) -> Reduction | None:
-        """Of the last image of a camera that takes images."""
-        camera = self.hardware.camera
-        return camera.last if isinstance(camera, ImageCamera) else None
+    async def look_again(self, unknown: Flags) -> Measurement | None:
+        """As `FieldMotion.look_again`, `unknown` too; the state says that it looks."""
+        await self.step(Step.LOOK)
+        return await super().look_again(unknown)
 
     async def move(
         self, number: int, label: str, planned: Plan | Programme, goals: Goals, comparison: bool = False
