@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from fiberloom.assignment.clearance import arm_lines, obstacle_gap_mm
 from fiberloom.instruments import FocalPlane
@@ -75,14 +77,11 @@ class Escape:
         return np.array([self._turns[r] for r in positioner.tolist()], dtype=bool)
 
     def _flood(self, row: int) -> NDArray[np.int32]:
-        from scipy.ndimage import label  # few fields need it
-
+        """(A, B) of the grid: which free region it is in, from 1; 0 where something is in the way."""
         alpha, beta = np.meshgrid(*self._axes(), indexing="ij")
         rows = np.full(alpha.size, row)
         gap = self._gap_mm(rows, alpha.reshape(-1, 1), beta.reshape(-1, 1))
-        region: NDArray[np.int32]
-        region, _ = label((gap > 0).reshape(alpha.shape))
-        return region
+        return _regions((gap > 0).reshape(alpha.shape))
 
     def _gap_mm(self, positioner: Ints, alpha_deg: Floats, beta_deg: Floats) -> Floats:
         """(C,) least gap to the bodies over the P poses (C, P) of each of C positioners."""
@@ -101,3 +100,14 @@ class Escape:
             np.abs(alpha - places_deg[:, :1]).argmin(axis=1),
             np.abs(beta - places_deg[:, 1:]).argmin(axis=1),
         )
+
+
+def _regions(free: Flags) -> NDArray[np.int32]:
+    """(A, B) whole numbers from 1 on, the same where `free` (A, B) places hang together; 0 elsewhere."""
+    place = np.arange(free.size).reshape(free.shape)
+    along, across = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
+    ends = np.concatenate([place[1:][along], place[:, 1:][across]])
+    begins = np.concatenate([place[:-1][along], place[:, :-1][across]])
+    steps = coo_array((np.ones(len(ends), dtype=bool), (begins, ends)), shape=(free.size, free.size))
+    region: NDArray[np.int32] = connected_components(steps, directed=False)[1]
+    return np.where(free, region.reshape(free.shape) + np.int32(1), np.int32(0))
