@@ -7,7 +7,7 @@ import pytest
 
 from fiberloom.errors import InputError
 from fiberloom.instruments import generate
-from fiberloom.metrology import find_spots, one_image, write_image
+from fiberloom.metrology import SeveralImages, find_spots, one_image, write_image
 from fiberloom.metrology.acquisition import AcquisitionError, CameraGeometry
 from fiberloom.metrology.images import read_image
 from fiberloom.metrology.pipeline import ImageCamera, ReductionSettings
@@ -110,6 +110,9 @@ def test_the_last_image_is_matched_anew_without_another_exposure(small):
     before = camera.measure(scene.xy_mm)
     last = camera.measure(scene.xy_mm)
     assert camera.rematch(scene.xy_mm, before) is None
+    assert camera.rematch(scene.xy_mm, SeveralImages([before, last]).mean()) is None
+    last = camera.rematch(scene.xy_mm, last)
+    assert last is not None
     camera.turn(1.0)
     assert camera.rematch(scene.xy_mm, last) is None
 
