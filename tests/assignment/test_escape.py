@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import label
 
 from fiberloom.assignment.clearance import obstacle_gap_mm, obstacles, sweep
-from fiberloom.assignment.escape import Escape, _regions
+from fiberloom.assignment.escape import Escape, connected
 from fiberloom.instruments import generate
 
 
@@ -49,7 +49,7 @@ def test_straight_folds_are_a_part_of_the_flood(plane):
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.9, 1.0])
 def test_regions_hang_together_along_the_axes(share):
     free = np.random.default_rng(3).random((121, 61)) < share
-    regions, (labels, count) = _regions(free), label(free)
+    regions, (labels, count) = connected(free), label(free)
     np.testing.assert_array_equal(regions > 0, free)
     pairs = set(zip(regions[free].tolist(), labels[free].tolist(), strict=True))
     assert len(pairs) == count == len(set(regions[free].tolist()))

@@ -81,7 +81,7 @@ class Escape:
         alpha, beta = np.meshgrid(*self._axes(), indexing="ij")
         rows = np.full(alpha.size, row)
         gap = self._gap_mm(rows, alpha.reshape(-1, 1), beta.reshape(-1, 1))
-        return _regions((gap > 0).reshape(alpha.shape))
+        return connected((gap > 0).reshape(alpha.shape))
 
     def _gap_mm(self, positioner: Ints, alpha_deg: Floats, beta_deg: Floats) -> Floats:
         """(C,) least gap to the bodies over the P poses (C, P) of each of C positioners."""
@@ -102,8 +102,11 @@ class Escape:
         )
 
 
-def _regions(free: Flags) -> NDArray[np.int32]:
-    """(A, B) whole numbers from 1 on, the same where `free` (A, B) places hang together; 0 elsewhere."""
+def connected(free: Flags) -> NDArray[np.int32]:
+    """(A, B) a number of its own, 1 or more, for all `free` (A, B) places that hang together; 0 elsewhere.
+
+    Along the axes: places that touch at a corner do not.
+    """
     place = np.arange(free.size).reshape(free.shape)
     along, across = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
     ends = np.concatenate([place[1:][along], place[:, 1:][across]])

@@ -314,8 +314,9 @@ class ImageCamera:
     def rematch(self, expected_mm: Floats, image: Measurement) -> Measurement | None:
         """An `image` measured before, once more: no arm has moved since, but more is known of where they are.
 
-        `expected_mm` (N, 2), as of `measure`. None where it is not the last one, or where the camera has been
-        turned or told of other fiducials since. It is no exposure: watchers are not told.
+        `expected_mm` (N, 2), as of `measure`. None where it is not what was measured or matched anew last, or
+        where the camera has been turned or told of other fiducials since. It is no exposure: watchers are not
+        told.
         """
         last = self.last
         if last is None or image is not self._measured:

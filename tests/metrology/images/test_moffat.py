@@ -44,8 +44,12 @@ MOST = 64
 """Pixels that are painted at once; places are counted from the first of them."""
 
 X, Y, FLUX, S_XX, S_XY, S_YY = 30.3, 9.8, 1e4, 9.0, 0.6, 3.0
-WIDTH, HEIGHT = 150, 40
-"""Of an image that the spot overlaps at all four edges, in rows longer than a run."""
+RADIUS_Q = 1600.0
+WIDTH, HEIGHT = 160, 40
+"""Of an image that the spot overlaps at three edges, in rows longer than a run."""
+
+END = int(np.ceil(X + np.sqrt(RADIUS_Q * S_XX) + 0.5)) + 1
+"""Column from which on nothing is painted."""
 
 DET = S_XX * S_YY - S_XY * S_XY
 INVERSE = np.array([S_YY, -2 * S_XY, S_XX]) / DET
@@ -65,9 +69,9 @@ def points_at(i, j):
 def runs(j):
     """First pixel, number of pixels and points a pixel of all runs in row `j`."""
     first = 0
-    while first < WIDTH:
+    while first < END:
         points, end = points_at(first, j), first + 1
-        while end < WIDTH and end - first < MOST and points_at(end, j) == points:
+        while end < END and end - first < MOST and points_at(end, j) == points:
             end += 1
         yield first, end - first, points
         first = end
@@ -100,7 +104,8 @@ def reckoned(power, precision):
 def test_pixels_side_by_side_have_the_bits_of_one_after_the_other(power):
     image = np.zeros((HEIGHT, WIDTH), np.float32)
     spot = np.array([[X, Y, FLUX, S_XX, S_XY, S_YY, power]])
-    metrology.render_spots(image, spot, MOFFAT, 1600.0)
+    metrology.render_spots(image, spot, MOFFAT, RADIUS_Q)
     np.testing.assert_array_equal(image, reckoned(power, np.float32))
+    assert image[:, END - 1].all()
     in_double = reckoned(power, np.float64)
     np.testing.assert_allclose(image, in_double, rtol=(power + 2) * 3e-7)  # a rounding for each factor
