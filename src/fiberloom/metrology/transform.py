@@ -87,7 +87,8 @@ def fit_similarity(
         raise InputError(f"{len(z)} points: a similarity needs at least 2")
     z = z.conj() if flipped else z
     w = np.ones(len(z)) if weight is None else np.asarray(weight, dtype=np.float64)
-    z0, m0 = np.average(z, weights=w), np.average(m, weights=w)
+    total = w.sum(dtype=np.complex128)  # as np.average adds, to the bit
+    z0, m0 = (z * w).sum() / total, (m * w).sum() / total
     norm = float(np.sum(w * np.abs(z - z0) ** 2))
     if norm == 0:
         raise InputError("all points of the similarity are the same")

@@ -392,11 +392,15 @@ def _assembled(
     approaches: Mapping[int, Approach] = MappingProxyType({}),
 ) -> Plan:
     """A plan of motions in rad; `approaches` by row."""
+    # rounded together: of 500 positioners, each with few points, that takes a tenth of the time
+    all_points = np.concatenate([np.empty((0, 3)), *motions])
+    times = np.round(all_points[:, 0], 6)
+    alpha_deg, beta_deg = np.round(rad_to_deg(all_points[:, 1:]), DECIMALS_DEG).T.copy()
+    ends = np.cumsum([len(points) for points in motions]).tolist()
     robots = []
-    for row, (number, points) in enumerate(zip(task.plane.positioner_id, motions, strict=True)):
-        alpha_deg, beta_deg = np.round(rad_to_deg(points[:, 1:]), DECIMALS_DEG).T
-        times = np.round(points[:, 0], 6)
-        robots.append(Trajectory(int(number), times, alpha_deg, beta_deg, approaches.get(row)))
+    for row, (number, end) in enumerate(zip(task.plane.positioner_id.tolist(), ends, strict=True)):
+        own = slice(end - len(motions[row]), end)
+        robots.append(Trajectory(number, times[own], alpha_deg[own], beta_deg[own], approaches.get(row)))
     return Plan(
         instrument=task.plane.instrument.name,
         collision_buffer_mm=task.bodies.radius_mm,
@@ -469,14 +473,11 @@ def _all_together(task: _Task) -> Plan:
     # corners cut over half a step, as in the planner: quarters of a step and the way done by then
     quarters = [0, 2, 4 * steps, 4 * steps + 2]
     done = np.array([0.0, 0.25 / steps, 1.0 - 0.25 / steps, 1.0])
-    motions = []
-    for i in range(task.plane.n):
-        if not task.moving[i]:
-            motions.append(np.array([[0.0, *task.start[i]]]))
-            continue
-        times, angles = np.array(quarters), task.start[i] + done[:, None] * way[i]
-        if task.approach[i] > 0.0:
-            times = np.append(times, quarters[-1] + turn)
-            angles = np.vstack([angles, task.goal[i]])
-        motions.append(np.column_stack([times * quarter_s, angles]))
+    times = np.array([*quarters, quarters[-1] + turn])
+    ways = np.empty((task.plane.n, len(times), 3))
+    ways[:, :, 0] = times * quarter_s
+    ways[:, :-1, 1:] = task.start[:, None] + done[:, None] * way[:, None]
+    ways[:, -1, 1:] = task.goal
+    points = np.where(task.approach > 0.0, len(times), len(times) - 1)
+    motions = [way_of[:n] for way_of, n in zip(ways, np.where(task.moving, points, 1), strict=True)]
     return _assembled(task, motions, {}, {"steps": steps})

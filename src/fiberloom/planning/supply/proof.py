@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fiberloom.instruments import FocalPlane
-from fiberloom.planning.trajectories import Plan
+from fiberloom.planning.trajectories import Plan, Trajectory
 from fiberloom.typing import Floats
 
 ROUNDING_A = 1e-9
+_AT_ONCE = 500_000
+"""Positioners times moments, for a bound on memory."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +87,11 @@ def verify_supply(
     middle = 0.5 * (edges[:-1] + edges[1:])
     own_deg_s = np.array([axis.speed_deg_s for axis in plane.instrument.axes])
     current_A, at_a_time = np.zeros(len(middle)), np.zeros(len(middle), dtype=np.int64)
-    for robot in plan.robots:
-        if robot.moves:
-            share = _speeds_deg_s(robot.time_s, robot.points_deg, middle) / own_deg_s
-            turns = share > 0.0
-            current_A += (turns * care.motor_friction_A + share * care.motor_speed_A).sum(axis=1)
-            at_a_time += turns.any(axis=1)
+    for robots in _of_one_clock(plan, max(1, _AT_ONCE // max(1, len(middle)))):
+        share = _speeds_deg_s(robots, middle) / own_deg_s
+        turns = share > 0.0
+        current_A += (turns * care.motor_friction_A + share * care.motor_speed_A).sum(axis=(0, 2))
+        at_a_time += turns.any(axis=2).sum(axis=0)
     worst, most = (int(np.argmax(x)) if len(middle) else -1 for x in (current_A, at_a_time))
     return SupplyVerification(
         peak_A=float(current_A[worst]) if worst >= 0 else 0.0,
@@ -101,9 +103,23 @@ def verify_supply(
     )
 
 
-def _speeds_deg_s(time_s: Floats, points_deg: Floats, at_s: Floats) -> Floats:
-    """(M, 2) speeds of alpha and beta at these moments (M,); 0 after the end."""
+def _of_one_clock(plan: Plan, most: int) -> Iterator[list[Trajectory]]:
+    """Those that move, in groups with points at the same times, of `most` at most: all small moves of a field
+    have the same times, but for those without an approach."""
+    groups: dict[bytes, list[Trajectory]] = {}
+    for robot in plan.robots:
+        if robot.moves:
+            groups.setdefault(robot.time_s.tobytes(), []).append(robot)
+    for robots in groups.values():
+        for first in range(0, len(robots), most):
+            yield robots[first : first + most]
+
+
+def _speeds_deg_s(robots: Sequence[Trajectory], at_s: Floats) -> Floats:
+    """(R, M, 2) speeds of alpha and beta at moments (M,), of robots with common times; 0 after the end."""
+    time_s = robots[0].time_s
     piece = np.searchsorted(time_s, at_s, side="right") - 1
-    each = np.abs(np.diff(points_deg, axis=0)) / np.diff(time_s)[:, None]
-    speeds: Floats = np.concatenate([each, np.zeros((1, 2))])[piece]
+    points_deg = np.array([(robot.alpha_deg, robot.beta_deg) for robot in robots])
+    each = np.abs(np.diff(points_deg, axis=2)) / np.diff(time_s)
+    speeds: Floats = np.concatenate([each, np.zeros((len(robots), 2, 1))], axis=2)[:, :, piece].swapaxes(1, 2)
     return speeds
