@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -124,6 +125,55 @@ def test_one_that_falls_silent_stops_none_and_holds_up_none():
     assert results[3].outcome is Outcome.TIMED_OUT
     assert of(results, OTHERS) == {Outcome.DONE}
     assert [(d.positioner, d.kind) for d in watch.deviations] == [(3, DeviationKind.SILENT)]
+
+
+def silent_in(*gaps_s):
+    """A hook that loses each status of positioner 3 in each of these (begin, end) in s."""
+
+    def change(bus, identifier, frame):
+        gone = identifier[:2] == (3, Command.GET_STATUS) and any(a < bus.time_s < b for a, b in gaps_s)
+        return [] if gone else [(0.0, frame)]
+
+    return change
+
+
+def told_of(gaps_s):
+    bus, client = setup()
+    bus.change = partial(silent_in(*gaps_s), bus)
+    watch = MotionWatch()
+    assert of(moved(client, watch), IDS) == {Outcome.DONE}
+    return [(d.positioner, d.kind) for d in watch.deviations]
+
+
+def test_polls_without_an_answer_do_not_add_up_where_one_in_between_has_some():
+    assert told_of([(4.5, 5.4), (6.6, 7.5), (8.7, 9.6)]) == []
+    assert told_of([(4.5, 6.6)]) == [(3, DeviationKind.SILENT)]
+
+
+class Asked(MotionWatch):
+    """Keeps what it was asked when it was to choose whom to stop."""
+
+    asked = None
+
+    async def chosen(self, going):
+        self.asked = self.asked or going
+        return await super().chosen(going)
+
+
+@pytest.mark.parametrize(("to_s", "unreachable"), [(6.5, set()), (DURATION_S, {3})])
+def test_one_that_answers_again_after_a_while_can_be_stopped_with_the_others(to_s, unreachable):
+    bus, client = setup(Scripted)
+    bus.change = partial(silent_in((3.5, to_s)), bus)
+    bus.at_s = 10.3
+    bus.act = lambda: setattr(bus.positioners[5], "busy_until_s", 0.0)
+    watch = Asked()
+    moved(client, watch)
+    assert [(d.positioner, d.kind) for d in watch.deviations] == [
+        (3, DeviationKind.SILENT),
+        (5, DeviationKind.LEFT),
+    ]
+    assert watch.asked.unreachable == unreachable
+    assert watch.asked.reachable == {1, 2, 3, 4, 6} - unreachable
 
 
 def test_it_is_asked_three_times_over_two_seconds_before_it_is_given_up():

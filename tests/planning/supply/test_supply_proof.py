@@ -7,13 +7,14 @@ import pytest
 from tests.planning.fields import SDSSV, field
 
 from fiberloom.instruments.model import Care
-from fiberloom.planning import PlanSettings, plan, random_pair, verify_supply
+from fiberloom.planning import PlanSettings, plan, plan_corrections, random_pair, verify_supply
 from fiberloom.planning.supply import (
     LEAST_SHARE,
     currents,
     peak_current_A,
     plan_in_waves,
     plan_within_supply,
+    proof,
 )
 from fiberloom.planning.trajectories import Plan, Trajectory
 
@@ -46,6 +47,22 @@ def test_three_ways_of_counting_agree():
     assert np.median(sampled) <= proven.peak_A
     assert np.sort(sampled)[-20] == pytest.approx(proven.peak_A, rel=0.03)
     assert proven.most_at_once == 19
+
+
+@pytest.mark.parametrize("at_once", [1, 40, 500_000])
+def test_small_moves_with_common_clocks_are_counted_each(monkeypatch, at_once):
+    """In whatever portions: half of them come from above, so that there are two clocks."""
+    monkeypatch.setattr(proof, "_AT_ONCE", at_once)
+    plane = fed(19)
+    start_deg = plane.park_deg
+    approach_deg = np.where(np.arange(19) % 2, 0.4, 0.0)
+    way_deg = np.linspace(0.1, 0.3, 19)[:, None] * [0.0, 1.0]
+    made = plan_corrections(plane, start_deg, start_deg - way_deg, approach_deg=approach_deg)
+    assert len({robot.time_s.tobytes() for robot in made.robots}) == 2
+    counted, sampled = verify_supply(plane, made), sampled_A(plane, made, step_s=1e-3)
+    assert counted.most_at_once == 19
+    assert counted.peak_A == pytest.approx(np.sort(sampled)[-20], rel=0.03)
+    assert counted.peak_A == pytest.approx(peak_current_A(plane.instrument, made)[0], rel=1e-9)
 
 
 def test_the_proof_goes_red_where_a_plan_takes_more():
