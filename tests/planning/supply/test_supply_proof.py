@@ -55,7 +55,7 @@ def test_small_moves_with_common_clocks_are_counted_each(monkeypatch, at_once):
     monkeypatch.setattr(proof, "_AT_ONCE", at_once)
     plane = fed(19)
     start_deg = plane.park_deg
-    approach_deg = np.where(np.arange(19) % 2, 0.4, 0.0)
+    approach_deg = np.where(np.arange(19) % 2, np.linspace(0.2, 0.6, 19), 0.0)
     way_deg = np.linspace(0.1, 0.3, 19)[:, None] * [0.0, 1.0]
     made = plan_corrections(plane, start_deg, start_deg - way_deg, approach_deg=approach_deg)
     assert len({robot.time_s.tobytes() for robot in made.robots}) == 2
