@@ -116,6 +116,21 @@ def test_one_that_comes_to_rest_before_its_end_stops_the_others_within_two_polls
     assert of(results, OTHERS) == {Outcome.STOPPED}
 
 
+@pytest.mark.parametrize(
+    ("flag", "kind"),
+    [(Status.ESTIMATED_POSITION, DeviationKind.LEFT), (Status.COLLISION, DeviationKind.COLLIDED)],
+)
+def test_a_bit_of_its_status_is_enough_although_it_says_that_it_moves(flag, kind):
+    bus, client = setup(Scripted)
+    bus.at_s = 7.3
+    bus.act = lambda: setattr(bus.positioners[3], "flags", flag)
+    watch = MotionWatch()
+    results = moved(client, watch)
+    assert [(d.positioner, d.kind) for d in watch.deviations] == [(3, kind)]
+    assert 7.3 < watch.deviations[0].time_s < 8.7
+    assert of(results, OTHERS) == {Outcome.STOPPED}
+
+
 def test_one_that_falls_silent_stops_none_and_holds_up_none():
     bus, client = setup(Scripted)
     bus.at_s = 7.3

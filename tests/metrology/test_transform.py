@@ -48,6 +48,23 @@ def test_a_similarity_is_recovered(angle, scale, flipped):
     np.testing.assert_allclose(found.to_mm(found.to_px(mm)), mm, atol=1e-9)
 
 
+@given(st.lists(st.floats(0.1, 10.0), min_size=7, max_size=7), st.booleans())
+@settings(max_examples=30)
+def test_weights_are_those_of_least_squares(weight, flipped):
+    """Against a solver of linear equations: a, b of weight |a z + b - m|^2."""
+    mm, px = fiducials(7), fiducials(7, seed=1)
+    found = fit_similarity(px, mm, flipped=flipped, weight=weight)
+    z, root = px @ [1, -1j if flipped else 1j], np.sqrt(weight)
+    (a, b), *_ = np.linalg.lstsq(root[:, None] * np.column_stack([z, np.ones(7)]), root * (mm @ [1, 1j]))
+    np.testing.assert_allclose([found.a, found.b], [a, b], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [np.zeros(7), np.ones(6), 2.0, [2.0]])
+def test_weights_that_are_none_are_refused(weight):
+    with pytest.raises(InputError, match="a weight for each point, and not all 0"):
+        fit_similarity(fiducials(7), fiducials(7), weight=weight)
+
+
 @pytest.mark.parametrize("flipped", [True, False])
 def test_there_and_back(flipped):
     t, mm = truth(flipped), fiducials(200, 3)

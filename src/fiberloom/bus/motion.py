@@ -222,7 +222,8 @@ class _Followers:
 
     @part("bus")
     def _early(self, ids: set[int]) -> list[int]:
-        return [i for i in ids - self._going_well(ids) if self._at_rest_early(i)]
+        going = self._going_well(ids)
+        return [i for i in ids if i not in going and self._at_rest_early(i)]
 
     @part("bus")
     def _deviations(self, ids: set[int]) -> list[Deviation]:
@@ -232,7 +233,9 @@ class _Followers:
         return [found for i in sorted(ids - going) if (found := self._deviation(i)) is not None]
 
     def _going_well(self, ids: set[int]) -> set[int]:
-        """Those of `ids` that say that they are on their way, as before: nearly all, at every poll."""
+        """Those of `ids` that say that they are on their way, and of which nothing was told by the last poll:
+        nearly all, at every poll.
+        """
         done, odd = Outcome.DONE, _COMPLETED | _LOST_WAY | _COLLIDED
         answers = self.answers
         well = {i for i in ids if (r := answers[i]).outcome is done and not r.values[0] & odd}

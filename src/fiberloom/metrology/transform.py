@@ -80,14 +80,16 @@ def fit_similarity(
 ) -> Similarity:
     """Weighted least squares from `xy_px` (n, 2) to `xy_mm` (n, 2); needs two points.
 
-    `flipped`: the image is mirrored; `weight` (n,): relative weights, equal when None.
+    `flipped`: the image is mirrored; `weight` (n,): relative weights, not all 0; equal when None.
     """
     z, m = _complex(xy_px), _complex(xy_mm)
     if len(z) < 2:
         raise InputError(f"{len(z)} points: a similarity needs at least 2")
     z = z.conj() if flipped else z
     w = np.ones(len(z)) if weight is None else np.asarray(weight, dtype=np.float64)
-    total = w.sum(dtype=np.complex128)  # as np.average adds, to the bit
+    total = w.sum(dtype=np.complex128)  # complex, as np.average adds: the same bits
+    if w.shape != z.shape or not total:
+        raise InputError("a similarity needs a weight for each point, and not all 0")
     z0, m0 = (z * w).sum() / total, (m * w).sum() / total
     norm = float(np.sum(w * np.abs(z - z0) ** 2))
     if norm == 0:

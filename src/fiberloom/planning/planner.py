@@ -392,7 +392,7 @@ def _assembled(
     approaches: Mapping[int, Approach] = MappingProxyType({}),
 ) -> Plan:
     """A plan of motions in rad; `approaches` by row."""
-    # rounded together: of 500 positioners, each with few points, that takes a tenth of the time
+    # rounded together: a call for each of 500 positioners, with few points each, takes ten times as long
     all_points = np.concatenate([np.empty((0, 3)), *motions])
     times = np.round(all_points[:, 0], 6)
     alpha_deg, beta_deg = np.round(rad_to_deg(all_points[:, 1:]), DECIMALS_DEG).T.copy()
@@ -474,10 +474,10 @@ def _all_together(task: _Task) -> Plan:
     quarters = [0, 2, 4 * steps, 4 * steps + 2]
     done = np.array([0.0, 0.25 / steps, 1.0 - 0.25 / steps, 1.0])
     times = np.array([*quarters, quarters[-1] + turn])
-    ways = np.empty((task.plane.n, len(times), 3))
-    ways[:, :, 0] = times * quarter_s
-    ways[:, :-1, 1:] = task.start[:, None] + done[:, None] * way[:, None]
-    ways[:, -1, 1:] = task.goal
-    points = np.where(task.approach > 0.0, len(times), len(times) - 1)
-    motions = [way_of[:n] for way_of, n in zip(ways, np.where(task.moving, points, 1), strict=True)]
+    points = np.empty((task.plane.n, len(times), 3))
+    points[:, :, 0] = times * quarter_s
+    points[:, :-1, 1:] = task.start[:, None] + done[:, None] * way[:, None]
+    points[:, -1, 1:] = task.goal
+    counts = np.where(task.moving, np.where(task.approach > 0.0, len(times), len(times) - 1), 1)
+    motions = [own[:count] for own, count in zip(points, counts, strict=True)]
     return _assembled(task, motions, {}, {"steps": steps})

@@ -49,10 +49,10 @@ def test_three_ways_of_counting_agree():
     assert proven.most_at_once == 19
 
 
-@pytest.mark.parametrize("at_once", [1, 40, 500_000])
-def test_small_moves_with_common_clocks_are_counted_each(monkeypatch, at_once):
+@pytest.mark.parametrize("most_terms", [1, 20, 500_000])
+def test_small_moves_with_common_clocks_are_counted_each(monkeypatch, most_terms):
     """In whatever portions: half of them come from above, so that there are two clocks."""
-    monkeypatch.setattr(proof, "_AT_ONCE", at_once)
+    monkeypatch.setattr(proof, "_MOST_TERMS", most_terms)
     plane = fed(19)
     start_deg = plane.park_deg
     approach_deg = np.where(np.arange(19) % 2, np.linspace(0.2, 0.6, 19), 0.0)

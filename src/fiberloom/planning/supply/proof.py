@@ -12,7 +12,7 @@ from fiberloom.planning.trajectories import Plan, Trajectory
 from fiberloom.typing import Floats
 
 ROUNDING_A = 1e-9
-_AT_ONCE = 500_000
+_MOST_TERMS = 500_000
 """Positioners times moments, for a bound on memory."""
 
 
@@ -87,7 +87,7 @@ def verify_supply(
     middle = 0.5 * (edges[:-1] + edges[1:])
     own_deg_s = np.array([axis.speed_deg_s for axis in plane.instrument.axes])
     current_A, at_a_time = np.zeros(len(middle)), np.zeros(len(middle), dtype=np.int64)
-    for robots in _of_one_clock(plan, max(1, _AT_ONCE // max(1, len(middle)))):
+    for robots in _of_one_clock(plan, max(1, _MOST_TERMS // max(1, len(middle)))):
         share = _speeds_deg_s(robots, middle) / own_deg_s
         turns = share > 0.0
         current_A += (turns * care.motor_friction_A + share * care.motor_speed_A).sum(axis=(0, 2))
