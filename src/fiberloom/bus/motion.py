@@ -222,24 +222,11 @@ class _Followers:
 
     @part("bus")
     def _early(self, ids: set[int]) -> list[int]:
-        going = self._going_well(ids)
-        return [i for i in ids if i not in going and self._at_rest_early(i)]
+        return [i for i in ids if self._at_rest_early(i)]
 
     @part("bus")
     def _deviations(self, ids: set[int]) -> list[Deviation]:
-        going = self._going_well(ids)
-        self._known_s.update(dict.fromkeys(going, self.elapsed_s))
-        self._silent.update(dict.fromkeys(going, 0))
-        return [found for i in sorted(ids - going) if (found := self._deviation(i)) is not None]
-
-    def _going_well(self, ids: set[int]) -> set[int]:
-        """Those of `ids` that say that they are on their way, and of which nothing was told by the last poll:
-        nearly all, at every poll.
-        """
-        done, odd = Outcome.DONE, _COMPLETED | _LOST_WAY | _COLLIDED
-        answers = self.answers
-        well = {i for i in ids if (r := answers[i]).outcome is done and not r.values[0] & odd}
-        return well - self._client.collided - self._told.keys()
+        return [found for i in sorted(ids) if (found := self._deviation(i)) is not None]
 
     def collided(self, ids: set[int]) -> list[Deviation]:
         """Those of these that have said by themselves that they collided."""

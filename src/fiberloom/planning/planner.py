@@ -392,7 +392,7 @@ def _assembled(
     approaches: Mapping[int, Approach] = MappingProxyType({}),
 ) -> Plan:
     """A plan of motions in rad; `approaches` by row."""
-    # rounded together: a call for each of 500 positioners, with few points each, takes ten times as long
+    # rounded together: a positioner has few points, and a call takes longer than they do
     all_points = np.concatenate([np.empty((0, 3)), *motions])
     times = np.round(all_points[:, 0], 6)
     alpha_deg, beta_deg = np.round(rad_to_deg(all_points[:, 1:]), DECIMALS_DEG).T.copy()

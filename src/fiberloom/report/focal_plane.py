@@ -134,19 +134,12 @@ def _log_grid(axes: Axes, alpha: float) -> None:
     """
     axes.xaxis.set_minor_locator(NullLocator())
     axes.grid(True, alpha=alpha)
-    low, high = axes.get_xlim()
-    between = LogLocator(subs=range(2, 10)).tick_values(low, high)
-    axes.vlines(
-        between,
-        0,
-        1,
-        transform=axes.get_xaxis_transform(),
-        color=rcParams["grid.color"],
-        linewidth=rcParams["grid.linewidth"],
-        alpha=alpha,
-        zorder=0,
+    at = LogLocator(subs=range(2, 10)).tick_values(*axes.get_xlim())
+    how = {"colors": rcParams["grid.color"], "linewidths": rcParams["grid.linewidth"], "alpha": alpha}
+    lines = LineCollection(
+        [[(x, 0.0), (x, 1.0)] for x in at], transform=axes.get_xaxis_transform(), zorder=0, **how
     )
-    axes.set_xlim(low, high)
+    axes.add_collection(lines, autolim=False)
 
 
 def errors_title(errors_um: list[Floats], n_assigned: int, requirement_um: float) -> str:

@@ -104,8 +104,9 @@ def verify_supply(
 
 
 def _of_one_clock(plan: Plan, most: int) -> Iterator[list[Trajectory]]:
-    """Those that move, in groups with points at the same times, of `most` at most: all small moves of a field
-    have the same times, but for those without an approach."""
+    """Those that move, in groups of `most` at most with points at the same times. Small moves of a field have
+    two such groups: with an approach, and without.
+    """
     groups: dict[bytes, list[Trajectory]] = {}
     for robot in plan.robots:
         if robot.moves:
@@ -119,7 +120,7 @@ def _speeds_deg_s(robots: Sequence[Trajectory], at_s: Floats) -> Floats:
     """(R, M, 2) speeds of alpha and beta at moments (M,), of robots with common times; 0 after the end."""
     time_s = robots[0].time_s
     piece = np.searchsorted(time_s, at_s, side="right") - 1
-    points_deg = np.array([(robot.alpha_deg, robot.beta_deg) for robot in robots])
-    each = np.abs(np.diff(points_deg, axis=2)) / np.diff(time_s)
-    speeds: Floats = np.concatenate([each, np.zeros((len(robots), 2, 1))], axis=2)[:, :, piece].swapaxes(1, 2)
+    ways_deg = np.diff([robot.points_deg for robot in robots], axis=1)
+    each = np.abs(ways_deg) / np.diff(time_s)[:, None]
+    speeds: Floats = np.concatenate([each, np.zeros((len(robots), 1, 2))], axis=1)[:, piece]
     return speeds
