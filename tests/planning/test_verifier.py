@@ -101,6 +101,7 @@ def test_a_planted_collision_is_found_however_short_and_shallow(deeper_deg, dwel
     assert not found.ok
     (hit,) = found.collisions
     assert {str(hit.positioner_id), hit.other} == {str(p) for p in BOTH}
+    assert found.at_fault == set(BOTH)
     np.testing.assert_allclose(hit.time_s, times[2], atol=dwell_s)
     np.testing.assert_allclose(hit.depth, -sampled(plan, times)[2], atol=2e-4)
     assert hit.depth > 0.0
@@ -119,6 +120,7 @@ def test_bodies_at_rest_that_touch_are_told_but_not_the_plans_fault():
     found = verify(PLANE, plan_of([(0.0, alpha, 0.0)], [(0.0, other, 0.0)]))
     assert kinds(found) == {"contact"}
     assert found.ok
+    assert found.at_fault == set()
     assert len(found.contacts) == 1
 
 
@@ -132,6 +134,7 @@ def test_an_obstacle_in_the_way_is_found_and_named():
     found = verify(alone, plan)
     assert "obstacle" in kinds(found)
     assert f"fiducial {disc}" in {v.other for v in found.collisions}
+    assert found.at_fault == {alone.positioner_id[0]}
 
 
 def test_guide_cameras_are_bodies():
@@ -154,6 +157,7 @@ def test_limits_are_checked():
     assert verify(FREE, alone(*RAMP), limits=MotionLimits(6.001, 16.001)).ok
     found = verify(FREE, alone(*RAMP), limits=MotionLimits(5.9, 16.001))
     assert kinds(found) == {"speed"}
+    assert found.at_fault == {FREE.positioner_id[0]}
     assert found.violations[0].depth == pytest.approx(0.1, abs=1e-9)
     found = verify(FREE, alone(*RAMP), limits=MotionLimits(6.001, 15.9))
     assert kinds(found) == {"acceleration"}

@@ -99,6 +99,14 @@ class Verification:
         return tuple(v for v in self.violations if v.kind in _CONTACTS)
 
     @property
+    def at_fault(self) -> frozenset[int]:
+        """Numbers of the positioners for which this plan is not safe to send, both of those that meet."""
+        breaches = [v for v in self.violations if v.kind not in _CONTACTS]
+        return frozenset(
+            [v.positioner_id for v in breaches] + [int(v.other) for v in breaches if v.kind in _WITH_ROBOTS]
+        )
+
+    @property
     def min_clearance_mm(self) -> float:
         """Smallest gap of all."""
         return min(self.min_robot_clearance_mm, self.min_obstacle_clearance_mm)

@@ -17,6 +17,7 @@ from stars import (
     without_modes,
 )
 
+from fiberloom.calibration.fibres.descent import settled
 from fiberloom.calibration.fibres.dithered import hexagon
 from fiberloom.calibration.fibres.estimate import estimate
 from fiberloom.calibration.fibres.model import FieldModel, Unknowns
@@ -122,6 +123,22 @@ def test_derivatives_of_the_model_are_differences():
     for k in range(6):
         up, down = (model.fluxes(at.moved(0.0 * at.star, s * h * np.eye(6)[k]))[0] for s in (1, -1))
         assert by_exposure[..., k] == pytest.approx((up - down) / (2 * h), abs=1e-6)
+
+
+def test_no_star_gets_worse_by_steps_of_its_own():
+    """From far off, where many steps are too long and the next one begins at the place before."""
+    rng = np.random.default_rng(5)
+    model = FieldModel(drawn_field(rng, drawn_offsets(rng, 60)), GAUSSIAN)
+    star = rng.normal(0.0, 1.0, (60, 3)) * [1.0, 60.0, 60.0] + [9.0, 0.0, 0.0]
+    at = Unknowns(star, np.tile([0.0, np.log(85.0), 0.0, 0.0, 0.0, 0.0], (13, 1)))
+    cost = [
+        (model.residuals(settled(model, at, model.seen.astype(float), steps)) ** 2).sum(axis=0)
+        for steps in range(12)
+    ]
+    rises = np.diff(cost, axis=0)
+    assert (rises <= 1e-9 * np.array(cost[:-1])).all()
+    assert (rises == 0.0).any()  # steps that were not made
+    assert np.median(cost[-1]) < 0.1 * np.median(cost[0])
 
 
 def test_the_place_of_the_star_and_the_turn_of_the_arm_count():

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 from scipy.stats import ncx2
+from stars import drawn_field
 
-from fiberloom.calibration.fibres.throughput import StarProfile, light, light_share
+from fiberloom.calibration.fibres.model import FieldModel, FieldSettings
+from fiberloom.calibration.fibres.start import _far, _shares, grid_um
+from fiberloom.calibration.fibres.throughput import StarProfile, _power, light, light_share
 from fiberloom.errors import InputError
 
 CORE_UM = 120.0
@@ -75,3 +78,22 @@ def test_the_share_alone_has_the_same_bits(exponent):
     r, w = np.meshgrid([0.0, 5.0, 60.0, 130.0], [50.0, 85.0, 140.0])  # at 60 um the rim meets the star
     whole = light(profile, r, w, CORE_UM).share
     np.testing.assert_array_equal(light_share(profile, r, w, CORE_UM), whole)
+
+
+@pytest.mark.parametrize("exponent", [-0.5, -1.0, -2.5, -3.0, -5.0, -5.5, -3.765, 0.0, 1.5])
+def test_a_power_is_numpys(exponent):
+    """Half exponents have a way of their own."""
+    base = np.geomspace(1.0, 1e6, 200)
+    np.testing.assert_allclose(_power(base, exponent), base**exponent, rtol=2e-15)
+
+
+def test_shares_by_trial_are_those_of_the_table():
+    """For every offset that is tried; what lies beyond the table has the share of its end."""
+    dither_um = np.array([[0.0, 0.0], [45.0, -20.0], [390.0, 0.0], [0.0, 900.0]])
+    night = drawn_field(np.random.default_rng(3), np.zeros((5, 2)), dither_um=dither_um)
+    model = FieldModel(night, FieldSettings())
+    s = night.dither_um[:, None, None] + model.apart_um[None, :, None] - grid_um()
+    table_um = np.arange(0.0, 401.0, 2.0)
+    table = light_share(StarProfile(), table_um, np.full(201, 90.0), CORE_UM)
+    expected = np.interp(np.hypot(s[..., 0], s[..., 1]), table_um, table)
+    np.testing.assert_allclose(_shares(model, 90.0, _far(model)), expected, rtol=1e-12, atol=1e-15)

@@ -1,11 +1,14 @@
 """Who may search at the same time: checked by sampling, with other code than that which chooses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from arrays import layout
 from scipy.spatial import cKDTree
 
 from fiberloom.operation.session.clearing import Clearing
+from fiberloom.operation.session.home import Homing
 
 PLANE = layout(37)
 ALL = np.ones(37, dtype=bool)
@@ -83,3 +86,28 @@ def test_next_to_one_that_may_be_anywhere_none_searches():
     near = np.flatnonzero(np.hypot(*(PLANE.centres_mm - PLANE.centres_mm[0]).T) < 23.0)
     clearing = Clearing(PLANE, PLANE.park_deg, ~somewhere, somewhere)
     assert set(clearing.beta_round(list(range(1, 37))).searchers).isdisjoint(near)
+
+
+def homing_of(here_deg):
+    """Of positioners that are there, none offline."""
+    state = SimpleNamespace(here_deg=here_deg, obstacles=lambda: PLANE)
+    return Homing(SimpleNamespace(plane=PLANE, state=state), np.arange(37))
+
+
+def test_the_verifier_refuses_of_a_round_those_in_whose_way_another_one_is(rounds):
+    """All of a round are shown to it at once: each gets the answer that it gets alone."""
+    first = rounds[0]
+    here_deg, swept = first.goals_deg.copy(), []
+    for row in first.searchers[::3]:
+        near = np.argsort(np.hypot(*(PLANE.centres_mm - PLANE.centres_mm[row]).T))[1:7]
+        other = next(i for i in near if i not in first.searchers)
+        # stretched towards the searcher, whose arm is folded now
+        towards = np.arctan2(*(PLANE.centres_mm[row] - PLANE.centres_mm[other])[::-1])
+        here_deg[other] = np.rad2deg(towards - PLANE.alpha_off_rad[other]) % 360.0, 0.0
+        swept.append(row)
+    homing = homing_of(here_deg)
+    clear = homing._verified(first.searchers, "beta")
+    assert clear == [row for row in first.searchers if homing._verified([row], "beta")]
+    assert not set(swept) <= set(clear)
+    assert set(clear)
+    assert homing_of(first.goals_deg)._verified(first.searchers, "beta") == first.searchers

@@ -9,10 +9,13 @@ from arrays import BUS, TwinArray, done, layout, session
 from fiberloom.bus.client import Client
 from fiberloom.errors import InputError, StoppedError
 from fiberloom.operation.move import Goals
+from fiberloom.operation.session import home
 from fiberloom.operation.session.states import Deed
 from fiberloom.planning import random_configuration
 from fiberloom.store import Store
 from fiberloom.store.arrays import ArrayBook
+from fiberloom.twin.faults.faults import Fault
+from fiberloom.twin.faults.kinds import FaultKind
 
 PLANE = layout(19)
 
@@ -56,6 +59,49 @@ def test_home_finds_every_datum_without_a_touch(array, store):
     assert ArrayBook(store, BUS).places(PLANE.positioner_id).datum.all()
     # the counters are right after it, to the turn: an observation goes on as before
     assert off_park_mm(array).max() < 0.05
+
+
+def test_a_search_of_beta_begins_near_its_stop(array, store, monkeypatch):
+    """It is slow, and swept by none but its own: the way there is made by a plan."""
+    search, begun = Client.home, []
+
+    async def spied(client, ids, axis=None):
+        begun.append((axis, array.twin.truth()[PLANE.index_of(ids)], client.time_s))
+        return await search(client, ids, axis)
+
+    monkeypatch.setattr(Client, "home", spied)
+    assert done(session(array, PLANE, store).home()).left_out == {}
+    beta_deg = np.concatenate([truth_deg[:, 1] for axis, truth_deg, _ in begun if axis == "beta"])
+    assert len(beta_deg) == len(PLANE)
+    near_deg = PLANE.hard_stops_deg[1, 0] + home.NEAR_DEG
+    np.testing.assert_allclose(beta_deg, near_deg, atol=1.0)
+    # from a folded arm each of these rounds would take 100 s more
+    rounds = [time_s for axis, _, time_s in begun if axis == "beta"]
+    assert np.diff(rounds).max() < 80.0
+
+
+def test_one_that_does_not_come_near_its_stop_is_not_searched(array, store, monkeypatch):
+    """It stands in the way where it is; who would meet it there waits, or is left out."""
+    approach, search, stuck, searched = home.Homing._approach, Client.home, [], []
+
+    async def spied(client, ids, axis=None):
+        searched.append((axis, set(ids)))
+        return await search(client, ids, axis)
+
+    async def without_one(homing, made, rows):
+        if not stuck:
+            stuck.append(rows[0])
+            array.twin.inject(Fault(FaultKind.DEAD, int(PLANE.positioner_id[rows[0]])))
+        return await approach(homing, made, rows)
+
+    monkeypatch.setattr(home.Homing, "_approach", without_one)
+    monkeypatch.setattr(Client, "home", spied)
+    report = done(session(array, PLANE, store).home())
+    number = int(PLANE.positioner_id[stuck[0]])
+    assert not any(number in ids for axis, ids in searched if axis != "alpha")
+    assert number in report.left_out
+    assert len(report.datum_found) > len(PLANE) / 2
+    assert array.twin.touches() == []
 
 
 def test_a_datum_on_record_vouches_for_a_dark_fibre(array, store):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fiberloom.calibration.fibres.model import OF_STAR, FieldModel, Unknowns
+from fiberloom.calibration.fibres.model import OF_STAR, FieldModel, Unknowns, squared
 from fiberloom.typing import Flags, Floats
 
 _DOWNWEIGHT = 9.0
@@ -75,17 +75,17 @@ def settled(model: FieldModel, at: Unknowns, weight: Floats, steps: int) -> Unkn
     `model`; `at`: the unknowns; `weight` (E, N): of the fluxes; `steps`: how many each star tries.
     """
     star, damping = at.star, np.full(len(at.star), _DAMPING)
+    root = np.sqrt(weight) * model.seen / model.error
+    flux, slope = model.by_stars(at)
     for _ in range(steps):
-        here = Unknowns(star, at.exposure)
-        flux, slope = model.by_stars(here)
-        root = np.sqrt(weight) * model.seen / model.error
         j, left = slope * root[..., None], (model.flux - flux) * root
-        square = np.einsum("enp,enq->npq", j, j) + 1e-9 * np.eye(OF_STAR)
+        square = squared(j) + 1e-9 * np.eye(OF_STAR)
         np.einsum("npp->np", square)[:] *= 1.0 + damping[:, None]
         step = np.linalg.solve(square, np.einsum("enp,en->np", j, left)[..., None])[..., 0]
         tried = Unknowns(star + np.clip(step, -_LONGEST, _LONGEST), at.exposure)
-        new = (weight * model.residuals(tried) ** 2).sum(axis=0)
-        better = new <= (left**2).sum(axis=0)
+        new_flux, new_slope = model.by_stars(tried)
+        better = (((model.flux - new_flux) * root) ** 2).sum(axis=0) <= (left**2).sum(axis=0)
         star = np.where(better[:, None], tried.star, star)
+        flux, slope = np.where(better, new_flux, flux), np.where(better[:, None], new_slope, slope)
         damping = np.clip(np.where(better, damping * 0.1, damping * 100.0), _DAMPING, None)
     return Unknowns(star, at.exposure)

@@ -150,14 +150,14 @@ class FieldModel:
         js, je = by_star * root[..., None], by_exposure * root[..., None]
         left = (self.flux - flux) * root
         n_e, n = left.shape
-        d = np.einsum("enp,enq->npq", js, js)
+        d = squared(js)
         b = np.einsum("enp,enq->npeq", js, je).reshape(n, OF_STAR, n_e * OF_EXPOSURE)
         a = self._prior()
         pull = -a @ (at.exposure - self._expected(at)).ravel()
         blocks = a.reshape(n_e, OF_EXPOSURE, n_e, OF_EXPOSURE)
-        blocks[np.arange(n_e), :, np.arange(n_e)] += np.einsum("enp,enq->epq", je, je)
+        blocks[np.arange(n_e), :, np.arange(n_e)] += je.swapaxes(1, 2) @ je
         right_star = np.einsum("enp,en->np", js, left)
-        right_exposure = np.einsum("enp,en->ep", je, left).ravel() + pull
+        right_exposure = (je.swapaxes(1, 2) @ left[..., None]).ravel() + pull
         d = _damped(d, damping) + 1e-9 * np.eye(OF_STAR)
         a = _damped(a[None], damping)[0]
         inverse = np.asarray(np.linalg.inv(d), dtype=np.float64)
@@ -192,6 +192,12 @@ class FieldModel:
         part = FieldModel(self.field.select(rows), self.settings)
         part.place = self.place[rows]
         return part
+
+
+def squared(by_star: Floats) -> Floats:
+    """(N, p, p) of each star: derivatives `by_star` (E, N, p) times each other, summed over the exposures."""
+    square: Floats = by_star.transpose(1, 2, 0) @ by_star.transpose(1, 0, 2)
+    return square
 
 
 def _damped(blocks: Floats, damping: float) -> Floats:

@@ -5,36 +5,49 @@ A star that is far off makes more than one valley; least squares alone would sta
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fiberloom.calibration.fibres.descent import settled, start_weight
 from fiberloom.calibration.fibres.model import OF_EXPOSURE, OF_STAR, FieldModel, Unknowns
 from fiberloom.calibration.fibres.throughput import light_share
-from fiberloom.typing import Floats
+from fiberloom.typing import Floats, Ints
 
 FARTHEST_UM = 105.0
 """Offsets that are tried; of SDSS-V's fibres the worst changed by some 60 um in 20 months."""
 _STEP_UM = 15.0
 _SEEING = (0.45, 0.6, 0.8, 1.1, 1.5)
 """FWHM that are tried, over the core."""
-_TABLE_UM = np.arange(0.0, 401.0, 2.0)
+_TABLE_STEP_UM = 2.0
+_TABLE_UM = np.arange(0.0, 401.0, _TABLE_STEP_UM)
 _OWN_STEPS = 4
 _LEAST_SHARE = 0.02
 """Of the light, for the transparency: fluxes below it tell nothing of it."""
 
 
+class _Far(NamedTuple):
+    """Distances on the table, (E, N, G) each; what is beyond it counts as its end."""
+
+    step: Ints
+    """Rows of the table below them."""
+    beyond: Floats
+    """And how far they are from there to the next one: 0 to 1."""
+
+
 def begin(model: FieldModel) -> Unknowns:
     """Unknowns near enough to the best ones."""
-    tried = [_tried(model, share * model.settings.core_um) for share in _SEEING]
+    far = _far(model)
+    tried = [_tried(model, share * model.settings.core_um, far) for share in _SEEING]
     return min(tried, key=lambda one: one[0])[1]
 
 
-def _tried(model: FieldModel, fwhm_um: float) -> tuple[float, Unknowns]:
+def _tried(model: FieldModel, fwhm_um: float, far: _Far) -> tuple[float, Unknowns]:
     """The misfit with this seeing (the median star counts for all), and the unknowns that belong to it."""
     n_e, n = model.flux.shape
     exposure = np.zeros((n_e, OF_EXPOSURE))
     exposure[:, 1] = np.log(fwhm_um)
-    shares = _shares(model, fwhm_um)
+    shares = _shares(model, fwhm_um, far)
     for _ in range(2):
         star, share = _best(model, shares, np.exp(exposure[:, 0]))
         exposure[:, 0] += _transparency(model, np.exp(star[:, 0]) * share, exposure[:, 0])
@@ -56,12 +69,22 @@ def grid_um() -> Floats:
     return kept
 
 
-def _shares(model: FieldModel, fwhm_um: float) -> Floats:
-    """(E, N, G) of the light, with every offset that is tried."""
+def _far(model: FieldModel) -> _Far:
+    """How far each fibre is from its star, with every offset that is tried."""
     s = model.field.dither_um[:, None, None] + model.apart_um[None, :, None] - grid_um()
+    steps = np.minimum(np.hypot(s[..., 0], s[..., 1]) / _TABLE_STEP_UM, len(_TABLE_UM) - 1.0)
+    step = np.minimum(steps.astype(np.intp), len(_TABLE_UM) - 2)
+    return _Far(step, steps - step)
+
+
+def _shares(model: FieldModel, fwhm_um: float, far: _Far) -> Floats:
+    """(E, N, G) of the light, with every offset that is tried."""
     settings = model.settings
     table = light_share(settings.profile, _TABLE_UM, np.full_like(_TABLE_UM, fwhm_um), settings.core_um)
-    return np.interp(np.hypot(s[..., 0], s[..., 1]), _TABLE_UM, table)
+    shares: Floats = np.diff(table)[far.step]
+    shares *= far.beyond
+    shares += table[far.step]
+    return shares
 
 
 def _best(model: FieldModel, shares: Floats, bright: Floats) -> tuple[Floats, Floats]:

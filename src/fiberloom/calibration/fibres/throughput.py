@@ -30,6 +30,8 @@ from fiberloom.typing import Floats
 STEPS = 24
 """Of the sum along half of the rim's turn (the other half is alike)."""
 _COS = np.cos(np.pi * (np.arange(STEPS) + 0.5) / STEPS)
+_RIM = 2.0 * np.pi / STEPS * np.stack([_COS, np.ones(STEPS)], axis=1)
+"""Sums along the rim: times cos p, and as it is."""
 _LEAST_MOFFAT = 1.5
 """Below it hardly any light is in the core, and no star looks so."""
 
@@ -73,7 +75,7 @@ class StarProfile:
         if np.isinf(self.exponent):
             inside = -np.expm1(-square)
             return inside, 1.0 - inside
-        outside: Floats = (1.0 + square) ** (1.0 - self.exponent)
+        outside = _power(1.0 + square, 1.0 - self.exponent)
         return 1.0 - outside, outside
 
     def _density(self, square: Floats, outside: Floats) -> Floats:
@@ -122,9 +124,8 @@ def light(profile: StarProfile, offset_um: Floats, fwhm_um: Floats, core_um: flo
     """
     r, a, width = _in_widths(profile, offset_um, fwhm_um, core_um)
     density, mean = profile.around(_square(r, a))
-    turn = 2.0 * np.pi / STEPS
-    by_r = turn * a * (density * _COS).sum(axis=-1)
-    by_a = turn * a * density.sum(axis=-1)
+    rim = density @ _RIM
+    by_r, by_a = a * rim[..., 0], a * rim[..., 1]
     return FibreLight(_share(r, a, mean), by_r / width, -(r * by_r + a * by_a))
 
 
@@ -149,11 +150,27 @@ def _in_widths(
 
 def _square(r: Floats, a: Floats) -> Floats:
     """s^2 along the rim, which is the last axis."""
-    square: Floats = (r * r + a * a)[..., None] + 2.0 * (a * r)[..., None] * _COS
+    square: Floats = (2.0 * a * r)[..., None] * _COS
+    square += (r * r + a * a)[..., None]
     return square
 
 
 def _share(r: Floats, a: Floats, mean: Floats) -> Floats:
     """T, from E / (2 pi s^2) along the rim."""
-    share: Floats = 2.0 * np.pi / STEPS * a * (mean * (r[..., None] * _COS + a[..., None])).sum(axis=-1)
+    rim = mean @ _RIM
+    share: Floats = a * (r * rim[..., 0] + a * rim[..., 1])
     return share
+
+
+def _power(base: Floats, exponent: float) -> Floats:
+    """base ** exponent. Of whole and half exponents down to -5, as that of the default profile, in a tenth
+    of the time.
+    """
+    halves = round(-2.0 * exponent)
+    if halves != -2.0 * exponent or not 1 <= halves <= 10:
+        power: Floats = base**exponent
+        return power
+    root = np.sqrt(base) if halves % 2 else np.ones_like(base)
+    for _ in range(halves // 2):
+        root *= base
+    return np.divide(1.0, root, out=root)

@@ -8,7 +8,9 @@ a searcher sweeps, and the discs within which two searchers may be are disjoint.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +47,17 @@ class SearchSweep:
     centre_mm: Floats
     """(2,) of a disc that it does not leave."""
     radius_mm: float
+
+    @cached_property
+    def disc(self) -> tuple[float, float, float]:
+        """That disc as plain numbers, mm: x, y, radius."""
+        x, y = self.centre_mm.tolist()
+        return x, y, float(self.radius_mm)
+
+    def near(self, x_mm: float, y_mm: float, radius_mm: float) -> bool:
+        """Whether another disc comes within the margin."""
+        x, y, radius = self.disc
+        return math.hypot(x - x_mm, y - y_mm) <= radius + radius_mm + MARGIN_MM
 
 
 @dataclass
@@ -161,10 +174,8 @@ class Clearing:
 
     def _apart(self, found: Round, row: int, sweep: SearchSweep) -> bool:
         """No searcher of the round can be where this one may be."""
-        return all(
-            np.hypot(*(other.centre_mm - sweep.centre_mm)) > other.radius_mm + sweep.radius_mm + MARGIN_MM
-            for other in found.sweeps.values()
-        )
+        disc = sweep.disc
+        return not any(other.near(*disc) for other in found.sweeps.values())
 
     def _meets_obstacle(self, sweep: SearchSweep, but: int | None = None) -> bool:
         if not len(self.obstacles):
@@ -201,14 +212,12 @@ class Clearing:
     def _elsewhere(self, row: int, goals_deg: Floats, sweeps: dict[int, SearchSweep]) -> Floats | None:
         """A place for one that is in the way; None where there is none."""
         arms = self.arms_mm(np.full(len(self._places_deg), row), self._places_deg)
-        reach_mm = self.plane.body_reach_mm[row]
+        reach_mm = float(self.plane.body_reach_mm[row])
         gap_mm = 2.0 * self._radius_mm + MARGIN_MM
         free = np.ones(len(arms), dtype=bool)
+        x, y = self.plane.centres_mm[row].tolist()
         for sweep in sweeps.values():
-            if (
-                np.hypot(*(sweep.centre_mm - self.plane.centres_mm[row]))
-                < sweep.radius_mm + reach_mm + MARGIN_MM
-            ):
+            if sweep.near(x, y, reach_mm):
                 free[free] &= self._gaps(arms[free], sweep.segments_mm).min(axis=1) > gap_mm
         near = np.hypot(*(self.plane.centres_mm - self.plane.centres_mm[row]).T) < 2.0 * reach_mm + 1.0
         others = np.array([i for i in np.flatnonzero(near) if i != row and i not in sweeps], dtype=np.int64)

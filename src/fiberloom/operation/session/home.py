@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +31,10 @@ SLOW_S = 200.0
 
 TURN_MM = 0.03
 """An image that agrees so well with a whole motor turn more or less, and not without it, says so."""
+
+NEAR_DEG = 10.0
+"""So far from the stop of beta its search begins. One that is seen within 1 mm of where it reports may be
+nearer by 4 deg (SDSS-V); motor turns that are in doubt are less."""
 
 TRIES = 2
 """Rounds in which one is tried whose way turned out not to be clear."""
@@ -162,6 +167,8 @@ class Homing:
             self.motion.progress(f"datum search, {axis}: {len(made.searchers)} of {len(waiting)} that wait")
             await self._clear(made)
             ready = self._ready(made, axis)
+            if axis == "beta" and ready:
+                ready = await self._approach(made, ready)
             for row in made.searchers:
                 tried[row] += 1
             begun = await self._search(ready, axis)
@@ -174,6 +181,16 @@ class Homing:
         here_deg = self.motion.state.here_deg
         if np.abs(made.goals_deg - here_deg)[self.motion.state.mobile].max(initial=0.0) > 0.0:
             await self.motion.go(Goals.without_targets(self._plane, made.goals_deg))
+
+    async def _approach(self, made: Round, rows: list[int]) -> list[int]:
+        """Brings these near the stop of beta, by a verified plan: to search all of the way would take long.
+
+        Returns those that may search from there.
+        """
+        goals_deg = self.motion.state.here_deg.copy()
+        goals_deg[rows, 1] = self._plane.hard_stops_deg[1, 0] + NEAR_DEG
+        await self.motion.go(Goals.without_targets(self._plane, goals_deg))
+        return self._ready(replace(made, searchers=rows, goals_deg=goals_deg), "beta")
 
     @part("clearing")
     def _ready(self, made: Round, axis: str) -> list[int]:
@@ -188,24 +205,27 @@ class Homing:
         if axis == "both":
             return rows
         # one that was seen not to follow on the way there is an obstacle by now
-        mobile, plane = state.mobile, state.obstacles()
-        standing = [
+        return self._verified([row for row in rows if state.mobile[row]], axis)
+
+    def _verified(self, rows: list[int], axis: str) -> list[int]:
+        """Of searchers those on whose way the verifier finds nothing.
+
+        All at once: none comes where another one may be. The others are where they are.
+        """
+        column, state = 0 if axis == "alpha" else 1, self.motion.state
+        low_deg = rad_to_deg(travel_rad(self._plane))[column, 0]
+        ways = [
             Trajectory(int(p), np.zeros(1), *place_deg[None].T)
             for p, place_deg in zip(self._plane.positioner_id, state.here_deg, strict=True)
         ]
-        return [row for row in rows if mobile[row] and self._verified(row, axis, plane, standing)]
-
-    def _verified(self, row: int, axis: str, plane: FocalPlane, standing: list[Trajectory]) -> bool:
-        """The verifier's word on the way of one searcher, all others `standing`."""
-        column = 0 if axis == "alpha" else 1
-        low_deg = rad_to_deg(travel_rad(self._plane))[column, 0]
-        way = np.tile(self.motion.state.here_deg[row], (2, 1))
-        way[1, column] = low_deg
-        # there and back to zero: the same places
-        ways = standing.copy()
-        ways[row] = Trajectory(standing[row].positioner_id, np.array([0.0, SLOW_S]), *way.T)
-        planned = Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(ways))
-        return verify(plane, planned).ok
+        for row in rows:
+            way = np.tile(state.here_deg[row], (2, 1))
+            way[1, column] = low_deg
+            # there and back to zero: the same places
+            ways[row] = Trajectory(ways[row].positioner_id, np.array([0.0, SLOW_S]), *way.T)
+        plane = state.obstacles()
+        found = verify(plane, Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(ways)))
+        return [row for row in rows if self._id(row) not in found.at_fault]
 
     async def _search(self, rows: list[int], axis: str) -> list[int]:
         """Searches one axis or both of these, so many at once as the supply can feed; rows that began.
