@@ -112,7 +112,7 @@ class Exchange:
             await self._send_all(waiter, command, list(zip(positioners, payloads, strict=True)), deadline_s)
             await self.wait(lambda: waiter.missing == 0, deadline_s)
         finally:
-            for key in waiter.keys:
+            for key in waiter.keys if waiter.missing else ():
                 if (entry := self._pending.get(key)) is not None and entry[0] is waiter:
                     del self._pending[key]
         return waiter.replies
