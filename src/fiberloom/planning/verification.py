@@ -100,11 +100,19 @@ class Verification:
 
     @property
     def at_fault(self) -> frozenset[int]:
-        """Numbers of the positioners for which this plan is not safe to send, both of those that meet."""
+        """Numbers of the positioners for which this plan is not safe to send, both of those that meet.
+
+        Of an `unsound` plan they are not all.
+        """
         breaches = [v for v in self.violations if v.kind not in _CONTACTS]
         return frozenset(
             [v.positioner_id for v in breaches] + [int(v.other) for v in breaches if v.kind in _WITH_ROBOTS]
         )
+
+    @property
+    def unsound(self) -> bool:
+        """Some points are no motion: nothing else has been looked at."""
+        return any(v.kind == "points" for v in self.violations)
 
     @property
     def min_clearance_mm(self) -> float:

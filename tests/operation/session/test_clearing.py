@@ -1,5 +1,6 @@
 """Who may search at the same time: checked by sampling, with other code than that which chooses."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,8 @@ from arrays import layout
 from scipy.spatial import cKDTree
 
 from fiberloom.operation.session.clearing import Clearing
-from fiberloom.operation.session.home import Homing
+from fiberloom.operation.session.home import Homing, near_stop_deg
+from fiberloom.planning import plan
 
 PLANE = layout(37)
 ALL = np.ones(37, dtype=bool)
@@ -90,7 +92,7 @@ def test_next_to_one_that_may_be_anywhere_none_searches():
 
 def homing_of(here_deg):
     """Of positioners that are there, none offline."""
-    state = SimpleNamespace(here_deg=here_deg, obstacles=lambda: PLANE)
+    state = SimpleNamespace(here_deg=here_deg, obstacles=lambda: PLANE, mobile=ALL, somewhere=NONE)
     return Homing(SimpleNamespace(plane=PLANE, state=state), np.arange(37))
 
 
@@ -108,6 +110,71 @@ def test_the_verifier_refuses_of_a_round_those_in_whose_way_another_one_is(round
     homing = homing_of(here_deg)
     clear = homing._verified(first.searchers, "beta")
     assert clear == [row for row in first.searchers if homing._verified([row], "beta")]
-    assert not set(swept) <= set(clear)
-    assert set(clear)
+    assert set(swept).isdisjoint(clear)
+    assert len(clear) > 1
     assert homing_of(first.goals_deg)._verified(first.searchers, "beta") == first.searchers
+
+
+def test_a_searcher_that_is_not_where_it_begins_is_in_the_way_of_others(rounds, monkeypatch):
+    """With the margin of those at rest, which the verifier does not ask for."""
+    monkeypatch.setattr(Homing, "_verified", lambda homing, rows, axis: rows)
+    first = rounds[0]
+    assert homing_of(first.goals_deg)._ready(first, "beta") == first.searchers
+    apart_mm = np.hypot(*(PLANE.centres_mm[first.searchers, None] - PLANE.centres_mm[first.searchers]).T)
+    apart_mm[apart_mm == 0.0] = np.inf
+    one, other = (first.searchers[k] for k in np.unravel_index(apart_mm.argmin(), apart_mm.shape))
+    refused = set()
+    for alpha_deg in range(0, 360, 5):
+        here_deg = first.goals_deg.copy()
+        here_deg[one] = alpha_deg, 0.0
+        ready = homing_of(here_deg)._ready(first, "beta")
+        assert one not in ready
+        refused |= set(first.searchers) - set(ready)
+    assert other in refused
+
+
+def test_the_verifier_refuses_searches_of_alpha_where_an_arm_lies_in_the_disc():
+    clearing = Clearing(PLANE, PLANE.park_deg, ALL, NONE)
+    found = clearing.alpha_round(list(range(37)))
+    homing = homing_of(PLANE.park_deg)
+    assert homing._verified(found.searchers, "alpha") == found.searchers
+    here_deg, row = PLANE.park_deg.copy(), 0
+    other = int(np.argsort(np.hypot(*(PLANE.centres_mm - PLANE.centres_mm[row]).T))[1])
+    towards = np.arctan2(*(PLANE.centres_mm[row] - PLANE.centres_mm[other])[::-1])
+    here_deg[other] = np.rad2deg(towards - PLANE.alpha_off_rad[other]) % 360.0, 0.0
+    rows = [r for r in found.searchers if r != other]
+    assert row in rows
+    clear = homing_of(here_deg)._verified(rows, "alpha")
+    assert row not in clear
+    assert clear == [r for r in rows if homing_of(here_deg)._verified([r], "alpha")]
+
+
+def test_where_one_is_nowhere_nobody_searches(rounds):
+    """The verifier looks at nothing else then."""
+    here_deg = rounds[0].goals_deg.copy()
+    here_deg[next(i for i in range(37) if i not in rounds[0].searchers)] = np.nan
+    assert homing_of(here_deg)._verified(rounds[0].searchers, "beta") == []
+
+
+def with_beta(**axis):
+    instrument = PLANE.instrument
+    return replace(
+        PLANE, instrument=instrument.model_copy(update={"beta": instrument.beta.model_copy(update=axis)})
+    )
+
+
+@pytest.mark.parametrize(
+    ("plane", "here", "near"),
+    [
+        (PLANE, 170.0, 6.0),
+        (PLANE, 3.0, 3.0),  # not away from its stop
+        (with_beta(hard_stop_deg=(-30.0, 364.0)), 170.0, -4.0),  # no plan goes farther below the range
+    ],
+)
+def test_a_search_begins_near_the_stop_where_plans_go(plane, here, near):
+    here_deg = np.tile([10.0, here], (37, 1))
+    np.testing.assert_allclose(near_stop_deg(plane, [2, 5], here_deg), [near, near])
+    goals_deg = here_deg.copy()
+    goals_deg[[2, 5], 1] = near
+    made = plan(plane, here_deg, goals_deg)
+    assert made.refused == {}

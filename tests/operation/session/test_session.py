@@ -62,7 +62,7 @@ def test_home_finds_every_datum_without_a_touch(array, store):
 
 
 def test_a_search_of_beta_begins_near_its_stop(array, store, monkeypatch):
-    """It is slow, and swept by none but its own: the way there is made by a plan."""
+    """A search is slow: a plan makes most of the way."""
     search, begun = Client.home, []
 
     async def spied(client, ids, axis=None):
@@ -75,7 +75,7 @@ def test_a_search_of_beta_begins_near_its_stop(array, store, monkeypatch):
     assert len(beta_deg) == len(PLANE)
     near_deg = PLANE.hard_stops_deg[1, 0] + home.NEAR_DEG
     np.testing.assert_allclose(beta_deg, near_deg, atol=1.0)
-    # from a folded arm each of these rounds would take 100 s more
+    # a search of all the way takes 100 s alone
     rounds = [time_s for axis, _, time_s in begun if axis == "beta"]
     assert np.diff(rounds).max() < 80.0
 
@@ -99,8 +99,27 @@ def test_one_that_does_not_come_near_its_stop_is_not_searched(array, store, monk
     report = done(session(array, PLANE, store).home())
     number = int(PLANE.positioner_id[stuck[0]])
     assert not any(number in ids for axis, ids in searched if axis != "alpha")
-    assert number in report.left_out
+    assert report.left_out[number].startswith("dead: after a move")
     assert len(report.datum_found) > len(PLANE) / 2
+    assert array.twin.touches() == []
+
+
+def test_one_without_a_plan_to_its_stop_searches_all_of_its_way(array, store, monkeypatch):
+    clear, search, begun = home.Homing._clear, Client.home, []
+
+    async def not_near(homing, made):
+        if (made.goals_deg[:, 1] > home.NEAR_DEG).all():
+            await clear(homing, made)
+
+    async def spied(client, ids, axis=None):
+        begun.append((axis, array.twin.truth()[PLANE.index_of(ids), 1]))
+        return await search(client, ids, axis)
+
+    monkeypatch.setattr(home.Homing, "_clear", not_near)
+    monkeypatch.setattr(Client, "home", spied)
+    report = done(session(array, PLANE, store).home())
+    assert sorted(report.datum_found) == sorted(PLANE.positioner_id.tolist())
+    assert min(beta_deg.min() for axis, beta_deg in begun if axis == "beta") > 160.0
     assert array.twin.touches() == []
 
 

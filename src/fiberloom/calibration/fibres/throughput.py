@@ -163,9 +163,7 @@ def _share(r: Floats, a: Floats, mean: Floats) -> Floats:
 
 
 def _power(base: Floats, exponent: float) -> Floats:
-    """base ** exponent. Of whole and half exponents down to -5, as that of the default profile, in a tenth
-    of the time.
-    """
+    """base ** exponent; by roots and products where it is whole or half, as that of the default profile."""
     halves = round(-2.0 * exponent)
     if halves != -2.0 * exponent or not 1 <= halves <= 10:
         power: Floats = base**exponent
@@ -173,4 +171,4 @@ def _power(base: Floats, exponent: float) -> Floats:
     root = np.sqrt(base) if halves % 2 else np.ones_like(base)
     for _ in range(halves // 2):
         root *= base
-    return np.divide(1.0, root, out=root)
+    return 1.0 / root

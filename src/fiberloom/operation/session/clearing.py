@@ -1,9 +1,10 @@
 """Which positioners can search their datum at the same time, and where the others have to be meanwhile.
 
-A search of beta turns the arm from its folded place to the hard stop, stretched: it sweeps the places of
-neighbours. So each one that searches (a searcher) turns its folded arm to a side to which the way is free,
-and neighbours bend away. When it moves, and how fast, is not known: the bodies at rest keep clear of all that
-a searcher sweeps, and the discs within which two searchers may be are disjoint.
+A search of beta turns the arm to the hard stop, stretched; most of the way from its folded place a plan has
+made before. It sweeps the places of neighbours. So each one that searches (a searcher) turns its folded arm
+to a side to which the way is free, and neighbours bend away. When it moves, and how fast, is not known: the
+bodies at rest keep clear of all that a searcher sweeps, and the discs within which two searchers may be are
+disjoint.
 """
 
 from __future__ import annotations

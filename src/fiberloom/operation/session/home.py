@@ -18,7 +18,7 @@ from fiberloom.operation.safety.stop import reason, to_its_end
 from fiberloom.operation.session.clearing import FOLDED_DEG, Clearing, Round, within_reach
 from fiberloom.operation.session.states import Step
 from fiberloom.planning import Plan, Trajectory, verify
-from fiberloom.planning.bodies import travel_rad
+from fiberloom.planning.bodies import travel_rad, travels_rad
 from fiberloom.timing import part
 from fiberloom.typing import Flags, Floats, Ints
 from fiberloom.units import rad_to_deg
@@ -33,8 +33,8 @@ TURN_MM = 0.03
 """An image that agrees so well with a whole motor turn more or less, and not without it, says so."""
 
 NEAR_DEG = 10.0
-"""So far from the stop of beta its search begins. One that is seen within 1 mm of where it reports may be
-nearer by 4 deg (SDSS-V); motor turns that are in doubt are less."""
+"""So far from its stop the search of a beta begins. Five motor turns are 1.8 deg (SDSS-V), and a stretched
+arm whose fibre is seen 1 mm from where it reports is off by 4 deg."""
 
 TRIES = 2
 """Rounds in which one is tried whose way turned out not to be clear."""
@@ -60,6 +60,8 @@ class Homing:
         """Row of the one that searches though nothing is known of it; -1: none."""
         self._alpha: set[int] = set()
         """Rows whose alpha was found."""
+        self._why: dict[int, str] = {}
+        """Of rows that did not follow on the way to their search: what was seen."""
         self._misses_mm = np.zeros((len(motion.plane), 2))
         """(N, 2) by which the maps err where all are folded; 0 where that is not known."""
 
@@ -79,9 +81,8 @@ class Homing:
         await self._search_beta()
         for row in self.rows:
             if self._id(row) not in self.found:
-                self.left_out.setdefault(
-                    self._id(row), "its way was not clear of neighbours that do not move"
-                )
+                why = self._why.get(row, "its way was not clear of neighbours that do not move")
+                self.left_out.setdefault(self._id(row), why)
 
     def _id(self, row: int) -> int:
         return int(self._plane.positioner_id[row])
@@ -185,11 +186,17 @@ class Homing:
     async def _approach(self, made: Round, rows: list[int]) -> list[int]:
         """Brings these near the stop of beta, by a verified plan: to search all of the way would take long.
 
-        Returns those that may search from there.
+        Returns those that may search now. One for which there is no such plan has stayed, and searches all of
+        its way.
         """
         goals_deg = self.motion.state.here_deg.copy()
-        goals_deg[rows, 1] = self._plane.hard_stops_deg[1, 0] + NEAR_DEG
-        await self.motion.go(Goals.without_targets(self._plane, goals_deg))
+        goals_deg[rows, 1] = near_stop_deg(self._plane, rows, goals_deg)
+        await self._clear(replace(made, goals_deg=goals_deg))
+        here_deg = self.motion.state.here_deg
+        stayed = [row for row in rows if np.abs(here_deg[row] - made.goals_deg[row]).max() < FOLDED_DEG]
+        goals_deg[stayed] = made.goals_deg[stayed]
+        state = self.motion.state
+        self._why |= {row: state.why[row] for row in rows if not state.mobile[row] and row in state.why}
         return self._ready(replace(made, searchers=rows, goals_deg=goals_deg), "beta")
 
     @part("clearing")
@@ -197,20 +204,16 @@ class Homing:
         """Searchers whose way is clear as positioners really are, and passes the verifier."""
         clearing, state = self._clearing(), self.motion.state
         begun = np.abs(state.here_deg - made.goals_deg).max(axis=1) < FOLDED_DEG
-        rows = [
-            row
-            for row in made.searchers
-            if begun[row] and not clearing.blocked(row, made.sweeps[row], made.sweeps)
-        ]
-        if axis == "both":
-            return rows
         # one that was seen not to follow on the way there is an obstacle by now
-        return self._verified([row for row in rows if state.mobile[row]], axis)
+        begun &= state.mobile | (axis == "both")
+        sweeps = {row: made.sweeps[row] for row in made.searchers if begun[row]}
+        rows = [row for row in sweeps if not clearing.blocked(row, sweeps[row], sweeps)]
+        return rows if axis == "both" else self._verified(rows, axis)
 
     def _verified(self, rows: list[int], axis: str) -> list[int]:
         """Of searchers those on whose way the verifier finds nothing.
 
-        All at once: none comes where another one may be. The others are where they are.
+        All at once: their discs keep them apart from each other. The others are where they are.
         """
         column, state = 0 if axis == "alpha" else 1, self.motion.state
         low_deg = rad_to_deg(travel_rad(self._plane))[column, 0]
@@ -225,6 +228,8 @@ class Homing:
             ways[row] = Trajectory(ways[row].positioner_id, np.array([0.0, SLOW_S]), *way.T)
         plane = state.obstacles()
         found = verify(plane, Plan(plane.instrument.name, plane.collision_buffer_mm, tuple(ways)))
+        if found.unsound:
+            return []
         return [row for row in rows if self._id(row) not in found.at_fault]
 
     async def _search(self, rows: list[int], axis: str) -> list[int]:
@@ -318,6 +323,17 @@ class Homing:
     def _folded(self) -> Flags:
         off_deg: Floats = np.abs(self.motion.state.here_deg - self._plane.park_deg).max(axis=1)
         return np.asarray(off_deg < FOLDED_DEG)
+
+
+def near_stop_deg(plane: FocalPlane, rows: list[int], here_deg: Floats) -> Floats:
+    """(n,) deg: beta from which to search these `rows` of the `plane`, which are at `here_deg` (N, 2).
+
+    Near the stop, but on the way of a plan, and not farther from the stop than each is.
+    """
+    near_deg = plane.stops_of(np.asarray(rows))[:, 1, 0] + NEAR_DEG
+    travels = travels_rad(plane)
+    low = travel_rad(plane)[1, 0] if travels is None else travels[rows, 1, 0]
+    return np.minimum(np.maximum(near_deg, rad_to_deg(low)), here_deg[rows, 1])
 
 
 def _turns_off(plane: FocalPlane, rows: Ints, here_deg: Floats, seen_mm: Floats, axis: str) -> Ints:
