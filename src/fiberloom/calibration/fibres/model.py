@@ -195,7 +195,10 @@ class FieldModel:
 
 
 def squared(by_star: Floats) -> Floats:
-    """(N, p, p) of each star: derivatives `by_star` (E, N, p) times each other, summed over the exposures."""
+    """(N, p, p) of each star, none or 1/um: derivatives times each other, summed over the exposures.
+
+    `by_star`: (E, N, p) in sigmas, per um or none.
+    """
     square: Floats = by_star.transpose(1, 2, 0) @ by_star.transpose(1, 0, 2)
     return square
 
